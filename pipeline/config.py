@@ -1,0 +1,164 @@
+"""Read params.yaml into frozen dataclasses, strictly: the only reader of YAML in the project."""
+
+import difflib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields, is_dataclass
+from pathlib import Path
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import yaml
+
+from pipeline.errors import ConfigError
+
+Config = TypeVar("Config")
+
+
+@dataclass(frozen=True)
+class _Leaf:
+    """Hold one value of the file and the dotted key it stands under."""
+
+    value: Any
+    key: str
+
+
+def load(path: Path, config_class: type[Config], sections: Sequence[str]) -> Config:
+    """Build a frozen dataclass from the sections of a parameter file.
+
+    Sections are dotted keys such as `sizes.laptop.train_full`. They are merged from left to right: a later section
+    replaces the values it names, at any depth, and keeps the others. Fields may be bool, int, float, str, `Literal`,
+    tuples of those, another dataclass, or any of these `| None`. Nothing has a default: every field must be given.
+
+    Raises ConfigError for a section or key that does not exist (with the nearest one that does), for a missing key
+    and for a value of the wrong type.
+    """
+    document = _read(path)
+    merged: dict[str, Any] = {}
+    for section in sections:
+        found = _find(document, section, path)
+        if not isinstance(found, dict):
+            raise ConfigError(f"{path}: '{section}' must be a section of keys and values, not {found!r}")
+        merged = _merge(merged, _mark(found, section))
+    return _build(config_class, merged, sections[0], path)
+
+
+def scalar(path: Path, key: str) -> Any:
+    """Read the single value under a dotted key, such as `device`. Raises ConfigError where there is none."""
+    return _find(_read(path), key, path)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path} does not exist; name the parameter file with --params") from None
+    except yaml.YAMLError as error:
+        raise ConfigError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(document, dict):
+        raise ConfigError(f"{path} must hold sections of keys and values")
+    return document
+
+
+def _find(document: dict[str, Any], dotted: str, path: Path) -> Any:
+    found: Any = document
+    walked: list[str] = []
+    for key in dotted.split("."):
+        if not isinstance(found, dict) or key not in found:
+            siblings = found if isinstance(found, dict) else ()
+            nearest = _nearest(key, siblings, prefix=".".join([*walked, ""]))
+            raise ConfigError(f"{path} has no '{dotted}'{nearest}")
+        found = found[key]
+        walked.append(key)
+    return found
+
+
+def _mark(value: Any, key: str) -> Any:
+    if isinstance(value, dict):
+        return {name: _mark(inner, f"{key}.{name}") for name, inner in value.items()}
+    return _Leaf(value, key)
+
+
+def _merge(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for name, value in overrides.items():
+        both_sections = isinstance(value, dict) and isinstance(base.get(name), dict)
+        merged[name] = _merge(base[name], value) if both_sections else value
+    return merged
+
+
+def _build(config_class: type[Config], values: dict[str, Any], section: str, path: Path) -> Config:
+    hints = get_type_hints(config_class)
+    names = [field.name for field in fields(config_class)]  # pyright: ignore[reportArgumentType]
+    for name, value in values.items():
+        if name not in names:
+            raise ConfigError(f"{path}: unknown key '{_key(value, f'{section}.{name}')}'{_nearest(str(name), names)}")
+    for name in names:
+        if name not in values:
+            raise ConfigError(f"{path}: '{section}.{name}' is missing; expected {_describe(hints[name])}")
+    return config_class(**{name: _convert(hints[name], values[name], f"{section}.{name}", path) for name in names})
+
+
+def _convert(hint: Any, value: Any, section: str, path: Path) -> Any:
+    if get_origin(hint) in (Union, UnionType):
+        if isinstance(value, _Leaf) and value.value is None and NoneType in get_args(hint):
+            return None
+        (hint,) = (option for option in get_args(hint) if option is not NoneType)
+    if is_dataclass(hint) and isinstance(hint, type) and isinstance(value, dict):
+        return _build(hint, value, section, path)
+    if isinstance(value, _Leaf) and _fits(hint, value.value):
+        return _cast(hint, value.value)
+    given = "a section" if isinstance(value, dict) else repr(value.value)
+    raise ConfigError(f"{path}: '{_key(value, section)}' is {given}; expected {_describe(hint)}")
+
+
+def _fits(hint: Any, value: Any) -> bool:
+    if get_origin(hint) is Literal:
+        return any(value == option and type(value) is type(option) for option in get_args(hint))
+    if get_origin(hint) is tuple:
+        return (
+            isinstance(value, list)
+            and len(value) == len(_items(hint, value))
+            and all(_fits(item, inner) for item, inner in zip(_items(hint, value), value, strict=True))
+        )
+    if hint is float:
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    return type(value) is hint
+
+
+def _cast(hint: Any, value: Any) -> Any:
+    if get_origin(hint) is tuple:
+        return tuple(_cast(item, inner) for item, inner in zip(_items(hint, value), value, strict=True))
+    return float(value) if hint is float else value
+
+
+def _items(hint: Any, value: list[Any]) -> list[Any]:
+    """Spell out one type per item: `tuple[float, ...]` takes any number of items, `tuple[float, float]` two."""
+    items = list(get_args(hint))
+    return items[:1] * len(value) if items[1:] == [Ellipsis] else items
+
+
+def _key(value: Any, otherwise: str) -> str:
+    return value.key if isinstance(value, _Leaf) else otherwise
+
+
+def _nearest(name: str, candidates: Iterable[str], prefix: str = "") -> str:
+    names = sorted(map(str, candidates))
+    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
+    if near:
+        return f"; did you mean '{prefix}{near[0]}'?"
+    return f"; expected one of: {', '.join(names)}" if names else ""
+
+
+def _describe(hint: Any) -> str:
+    if get_origin(hint) is Literal:
+        return "one of " + ", ".join(map(repr, get_args(hint)))
+    if get_origin(hint) is tuple:
+        items = get_args(hint)
+        counted = "any number of" if items[1:] == (Ellipsis,) else str(len(items))
+        return f"a list of {counted} {_describe(items[0])} values"
+    if get_origin(hint) in (Union, UnionType):
+        return " or ".join("null" if option is NoneType else _describe(option) for option in get_args(hint))
+    if is_dataclass(hint) and isinstance(hint, type):
+        return "a section with " + ", ".join(field.name for field in fields(hint))
+    names = {float: "a number (with a point before any exponent: 1.0e-4)", int: "a whole number", str: "text"}
+    return names.get(hint, "true or false")

@@ -1,0 +1,19 @@
+"""Choose where tensors live."""
+
+import torch
+
+from pipeline.errors import ConfigError
+
+
+def resolve_device(name: str) -> torch.device:
+    """Turn `cpu`, `cuda` or `auto` (a GPU where there is one) into a device.
+
+    Raises ConfigError for any other name, and for `cuda` on a machine without a GPU.
+    """
+    if name not in ("auto", "cpu", "cuda"):
+        raise ConfigError(f"device is '{name}'; expected auto, cpu or cuda")
+    if name == "cuda" and not torch.cuda.is_available():
+        raise ConfigError("device is 'cuda' but PyTorch finds no GPU here; set device to auto or cpu")
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    return torch.device(name)

@@ -1,0 +1,82 @@
+"""Write files whole or not at all, with bytes that depend on their content alone."""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from safetensors import safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+
+@contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """Yield a temporary path beside `path` that becomes `path` when the block ends without an error.
+
+    The block creates a file or a directory there; whatever stood at `path` is replaced in one step. After an error,
+    or a kill, `path` is as it was before: what an earlier kill left behind is removed first.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".partial-{path.name}")
+    _remove(temporary)
+    try:
+        yield temporary
+        if path.is_dir():
+            _remove(path)
+        temporary.replace(path)
+    finally:
+        _remove(temporary)
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a value as JSON with sorted keys and a final newline, atomically. Raises ValueError for NaN or infinity."""
+    text = json.dumps(value, indent=2, sort_keys=True, allow_nan=False)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8", newline="\n")
+
+
+def read_json(path: Path) -> Any:
+    """Read the value of a JSON file."""
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def sha256(path: Path) -> str:
+    """Hash a file, or every file of a directory with its relative name, as 64 hexadecimal digits."""
+    if path.is_dir():
+        listing = [f"{sha256(file)} {file.relative_to(path).as_posix()}\n" for file in _files(path)]
+        return hashlib.sha256("".join(listing).encode()).hexdigest()
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def save_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]) -> None:
+    """Save named tensors and a few texts as safetensors, atomically and byte-stable.
+
+    Tensors are copied to the CPU. The texts share one header entry, because the format does not order its entries.
+    """
+    copies = {name: tensors[name].detach().cpu().clone().contiguous() for name in sorted(tensors)}
+    header = {"texts": json.dumps(dict(metadata), sort_keys=True)}
+    with atomic_path(path) as temporary:
+        save_file(copies, temporary, header)
+
+
+def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+    """Load what `save_tensors` saved: the tensors on the CPU, and the texts."""
+    with safe_open(path, framework="pt") as stored:
+        tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
+        return tensors, json.loads(stored.metadata()["texts"])
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,134 @@
+"""Keep the state of a training so that a killed one resumes and ends with the same bytes."""
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.optim import Optimizer
+
+from pipeline.errors import TrainingDiverged
+from pipeline.files import load_tensors, save_tensors, sha256
+
+Part = nn.Module | Optimizer | torch.Generator | Tensor
+LIBRARY = Path(__file__).parents[1]
+
+
+class Checkpoint:
+    """Hold the restart state of one training: tensors and JSON values in one file of a folder.
+
+    The key says what the state belongs to (see `restart_key`): a state with another key is never loaded.
+    """
+
+    def __init__(self, folder: Path, key: str) -> None:
+        """Name the folder and the key; nothing is read or written yet."""
+        self._path = folder / "state.safetensors"
+        self._key = key
+
+    def load(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+        """Return the saved tensors, on the CPU, and values; None where there are none or their key differs."""
+        if not self._path.exists():
+            return None
+        tensors, texts = load_tensors(self._path)
+        return (tensors, json.loads(texts["values"])) if texts["key"] == self._key else None
+
+    def save(self, tensors: Mapping[str, Tensor], values: Mapping[str, Any]) -> None:
+        """Replace the saved state in one step: a kill leaves either the old or the new one, whole."""
+        save_tensors(self._path, tensors, {"key": self._key, "values": json.dumps(dict(values))})
+
+    def clear(self) -> None:
+        """Remove the saved state, once the stage's outputs are written."""
+        self._path.unlink(missing_ok=True)
+
+
+def restart_key(config: object, inputs: Sequence[Path], seed: int) -> str:
+    """Hash everything a training's state depends on: its config and seed, the bytes of its inputs, the library's code.
+
+    Inputs are files or directories. The code is every Python file of the `pipeline` package, and PyTorch's version.
+    """
+    code = [sha256(path) for path in sorted(LIBRARY.rglob("*.py"))]
+    everything = (repr(config), seed, [sha256(path) for path in inputs], code, torch.__version__)
+    return hashlib.sha256(repr(everything).encode()).hexdigest()
+
+
+def pack(**parts: Part) -> dict[str, Tensor]:
+    """Collect the state of modules, optimizers, generators and tensors as tensors named `<part>.<entry>`.
+
+    The tensors share memory with the parts. A tensor is stored under its part's own name.
+    """
+    return {name: tensor for part_name, part in parts.items() for name, tensor in _state(part_name, part).items()}
+
+
+def unpack(tensors: Mapping[str, Tensor], **parts: Part) -> None:
+    """Put packed state back into the same parts, in place. Raises KeyError or RuntimeError where they do not match."""
+    for name, part in parts.items():
+        own = {entry.removeprefix(f"{name}."): tensors[entry] for entry in tensors if entry.startswith(f"{name}.")}
+        if isinstance(part, nn.Module):
+            part.load_state_dict(own)
+        elif isinstance(part, Optimizer):
+            _restore_optimizer(part, own)
+        elif isinstance(part, torch.Generator):
+            part.set_state(own["state"])
+        else:
+            with torch.no_grad():
+                part.copy_(tensors[name])
+
+
+def require_finite(loss: Tensor, iteration: int) -> None:
+    """Raise TrainingDiverged unless the loss is finite; call it before the optimizer's step and the next checkpoint."""
+    if not bool(torch.isfinite(loss).all()):
+        raise TrainingDiverged(
+            f"the loss became {loss.detach().flatten()[0].item()} at iteration {iteration}; "
+            "the last checkpoint before it is kept: lower the learning rate or look at the inputs"
+        )
+
+
+def _state(name: str, part: Part) -> dict[str, Tensor]:
+    if isinstance(part, nn.Module):
+        return {f"{name}.{entry}": tensor for entry, tensor in part.state_dict().items()}
+    if isinstance(part, Optimizer):
+        return {f"{name}.{entry}": tensor for entry, tensor in _optimizer_state(part).items()}
+    if isinstance(part, torch.Generator):
+        return {f"{name}.state": part.get_state()}
+    return {name: part}
+
+
+def _optimizer_state(optimizer: Optimizer) -> dict[str, Tensor]:
+    tensors: dict[str, Tensor] = {}
+    for position, group in enumerate(optimizer.param_groups):
+        for name, value in group.items():
+            if _is_number(value):
+                tensors[f"group.{position}.{name}"] = torch.tensor(value, dtype=torch.float64)
+    for position, parameter in enumerate(_parameters(optimizer)):
+        for name, value in optimizer.state[parameter].items():
+            if isinstance(value, Tensor):
+                tensors[f"state.{position}.{name}"] = value
+    return tensors
+
+
+def _restore_optimizer(optimizer: Optimizer, tensors: Mapping[str, Tensor]) -> None:
+    parameters = _parameters(optimizer)
+    optimizer.state.clear()
+    for entry, tensor in tensors.items():
+        kind, position, name = entry.split(".", 2)
+        if kind == "group":
+            value = tensor.tolist()
+            optimizer.param_groups[int(position)][name] = tuple(value) if isinstance(value, list) else value
+        else:
+            parameter = parameters[int(position)]
+            # The parameter's memory layout (channels last) too: element-wise kernels may round by layout.
+            same_shape = tensor.shape == parameter.shape
+            optimizer.state[parameter][name] = torch.empty_like(parameter).copy_(tensor) if same_shape else tensor
+
+
+def _parameters(optimizer: Optimizer) -> list[Tensor]:
+    return [parameter for group in optimizer.param_groups for parameter in group["params"]]
+
+
+def _is_number(value: object) -> bool:
+    if isinstance(value, tuple):
+        return all(_is_number(item) for item in value)
+    return isinstance(value, float)

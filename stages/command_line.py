@@ -1,0 +1,35 @@
+"""What the stage scripts share: their arguments, and how an error reaches the terminal."""
+
+import sys
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, get_args
+
+from pipeline.errors import UserError
+
+
+def parse(description: str | None, **arguments: Any) -> Namespace:
+    """Parse a stage's arguments: every one is required and named, `out=Path` is `--out PATH`.
+
+    The type may be `list[...]` for one or more values. Every stage also takes `--params` (params.yaml) and
+    `--sections`, the dotted sections of it that make up the stage's config.
+    """
+    parser = ArgumentParser(description=description)
+    parser.add_argument("--params", type=Path, required=True)
+    parser.add_argument("--sections", nargs="+", required=True)
+    for name, kind in arguments.items():
+        option = f"--{name.replace('_', '-')}"
+        if get_args(kind):
+            parser.add_argument(option, type=get_args(kind)[0], nargs="+", required=True)
+        else:
+            parser.add_argument(option, type=kind, required=True)
+    return parser.parse_args()
+
+
+def run(main: Callable[[], None]) -> None:
+    """Run a stage; a UserError is printed as one sentence, without a traceback, and exits with status 1."""
+    try:
+        main()
+    except UserError as error:
+        sys.exit(f"error: {error}")
