@@ -1,0 +1,38 @@
+"""Mirror symmetry about the plane x = 0."""
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from pipeline.errors import MeshError
+
+
+def mirror_index(vertices: Float[Tensor, "V 3"], tolerance: float = 1e-6) -> Int[Tensor, " V"]:
+    """Find the mirror image of every vertex.
+
+    Entry i is the index of the vertex at (-x, y, z) of vertex i, within `tolerance`; vertices on the plane map to
+    themselves. Raise MeshError when some vertex has no partner or two vertices share one.
+    """
+    distances = torch.cdist(reflect(vertices).double(), vertices.double(), compute_mode="donot_use_mm_for_euclid_dist")
+    distance, index = distances.min(dim=1)
+    identity = torch.arange(len(vertices), device=vertices.device)
+    if distance.max() > tolerance or not torch.equal(index[index], identity):
+        raise MeshError(
+            f"the mesh is not mirror-symmetric about x = 0: a vertex is {distance.max():.2g} away from its image, "
+            f"expected at most {tolerance:.2g}; symmetrise the mesh first"
+        )
+    return index
+
+
+def reflect(vectors: Float[Tensor, "... 3"]) -> Float[Tensor, "... 3"]:
+    """Negate the x coordinate."""
+    return vectors * vectors.new_tensor([-1.0, 1.0, 1.0])
+
+
+def symmetrize(offsets: Float[Tensor, "*B V 3"], mirror: Int[Tensor, " V"]) -> Float[Tensor, "*B V 3"]:
+    """Average each vector with the reflection of its mirror partner's.
+
+    The result is symmetric to the last bit: partners differ only in the sign of x, which is 0 on the plane. Gradients
+    flow to `offsets`. Paper 3.1.1, symmetry of objects.
+    """
+    return (offsets + reflect(offsets.index_select(-2, mirror))) / 2
