@@ -1,0 +1,189 @@
+"""Wide residual networks for small pictures, and the frozen feature extractor made from one."""
+
+import copy
+from collections.abc import Mapping
+from pathlib import Path
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor, nn
+from torch.nn import functional
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+from pipeline.errors import DataError
+from pipeline.files import load_tensors, save_tensors
+
+
+class ResidualBlock(nn.Module):
+    """Add two normalised, rectified 3x3 convolutions to their input (pre-activation order)."""
+
+    def __init__(self, channels_in: int, channels_out: int, stride: int) -> None:
+        super().__init__()
+        self.normalization_1: nn.Module = nn.BatchNorm2d(channels_in)
+        self.convolution_1 = nn.Conv2d(channels_in, channels_out, 3, stride, padding=1, bias=False)
+        self.normalization_2: nn.Module = nn.BatchNorm2d(channels_out)
+        self.convolution_2 = nn.Conv2d(channels_out, channels_out, 3, padding=1, bias=False)
+        self.projection = (
+            nn.Conv2d(channels_in, channels_out, 1, stride, bias=False) if channels_in != channels_out else None
+        )
+
+    def forward(self, x: Float[Tensor, "B _ _ _"]) -> Float[Tensor, "B _ _ _"]:
+        """Return the sum of the shortcut and the two convolutions' output."""
+        activated = functional.relu(self.normalization_1(x))
+        shortcut = x if self.projection is None else self.projection(activated)
+        hidden = functional.relu(self.normalization_2(self.convolution_1(activated)))
+        return shortcut + self.convolution_2(hidden)
+
+
+class WideResNet(nn.Module):
+    """Classify pictures with the WRN-depth-width of Zagoruyko & Komodakis (2016).
+
+    Depth is 6 N + 4 for N blocks in each of three groups of 16, 32 and 64 times `width` channels, at full, half and
+    quarter resolution. Input is RGB in [0, 1]; normalisation by the buffers `mean` and `std` happens inside.
+    """
+
+    mean: Tensor
+    std: Tensor
+
+    def __init__(self, depth: int, width: int, classes: int) -> None:
+        super().__init__()
+        if depth < 10 or (depth - 4) % 6:
+            raise ValueError(f"a wide residual network has depth 6 N + 4 >= 10, not {depth}")
+        self.depth, self.width, self.classes = depth, width, classes
+        self.register_buffer("mean", torch.full((1, 3, 1, 1), 0.5))
+        self.register_buffer("std", torch.full((1, 3, 1, 1), 0.25))
+        channels = [16, 16 * width, 32 * width, 64 * width]
+        self.stem = nn.Conv2d(3, channels[0], 3, padding=1, bias=False)
+        self.groups = nn.ModuleList(
+            nn.Sequential(
+                ResidualBlock(channels[i], channels[i + 1], 1 if i == 0 else 2),
+                *(ResidualBlock(channels[i + 1], channels[i + 1], 1) for _ in range((depth - 4) // 6 - 1)),
+            )
+            for i in range(3)
+        )
+        self.normalization = nn.BatchNorm2d(channels[3])
+        self.classifier = nn.Linear(channels[3], classes)
+        self._initialize()
+
+    def _initialize(self) -> None:
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
+        nn.init.zeros_(self.classifier.bias)
+
+    def features(self, images: Float[Tensor, "B 3 H W"]) -> list[Float[Tensor, "B _ _ _"]]:
+        """Return the outputs of the three groups, each right before the next sub-sampling."""
+        x = self.stem((images - self.mean) / self.std)
+        outputs = []
+        for group in self.groups:
+            x = group(x)
+            outputs.append(x)
+        return outputs
+
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B classes"]:
+        """Return class scores (logits) of RGB pictures in [0, 1]."""
+        x = functional.relu(self.normalization(self.features(images)[-1]))
+        return self.classifier(x.mean(dim=(2, 3)))
+
+
+class FeatureExtractor(nn.Module):
+    """Turn pictures into the feature maps in which they are compared (paper, appendix, "Reconstruction loss").
+
+    A frozen copy of a trained network in which every batch normalisation is folded: into the convolution before it, or
+    into a scale and a shift per channel. Gradients flow to the pictures alone.
+    """
+
+    def __init__(self, network: WideResNet) -> None:
+        super().__init__()
+        self.network = copy.deepcopy(network).eval()
+        for block in self.network.modules():
+            if isinstance(block, ResidualBlock):
+                _fold_normalizations(block)
+        self.requires_grad_(False)
+        self.network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> list[Float[Tensor, "B _ _ _"]]:
+        """Return three feature maps, at full, half and quarter resolution, of RGB pictures in [0, 1]."""
+        return self.network.features(images.contiguous(memory_format=torch.channels_last))
+
+
+class ChannelAffine(nn.Module):
+    """Scale and shift every channel: what a batch normalisation does in evaluation mode."""
+
+    scale: Tensor
+    shift: Tensor
+
+    def __init__(self, normalization: nn.BatchNorm2d) -> None:
+        super().__init__()
+        mean, variance = normalization.running_mean, normalization.running_var
+        assert mean is not None
+        assert variance is not None
+        scale = normalization.weight / torch.sqrt(variance + normalization.eps)
+        self.register_buffer("scale", scale.detach()[:, None, None])
+        self.register_buffer("shift", (normalization.bias - mean * scale).detach()[:, None, None])
+
+    def forward(self, x: Float[Tensor, "B C H W"]) -> Float[Tensor, "B C H W"]:
+        """Apply the scale and the shift in one pass over memory."""
+        return torch.addcmul(self.shift, x, self.scale)
+
+
+def _fold_normalizations(block: ResidualBlock) -> None:
+    first, second = block.normalization_1, block.normalization_2
+    assert isinstance(first, nn.BatchNorm2d)
+    assert isinstance(second, nn.BatchNorm2d)
+    block.normalization_1 = ChannelAffine(first)
+    block.convolution_1 = fuse_conv_bn_eval(block.convolution_1, second)
+    block.normalization_2 = nn.Identity()
+
+
+def save_feature_extractor(path: Path, network: WideResNet, metadata: Mapping[str, str]) -> None:
+    """Write a trained network's weights, in half precision, with what is needed to build it again."""
+    tensors = {name: tensor.half() for name, tensor in network.state_dict().items()}
+    shape = {"depth": str(network.depth), "width": str(network.width), "classes": str(network.classes)}
+    save_tensors(path, tensors, {**metadata, **shape})
+
+
+def load_wide_resnet(path: Path, device: torch.device) -> WideResNet:
+    """Build the network `save_feature_extractor` wrote, with its classifier, in evaluation mode.
+
+    Raises DataError where the file holds something else.
+    """
+    tensors, metadata = load_tensors(path)
+    try:
+        network = WideResNet(int(metadata["depth"]), int(metadata["width"]), int(metadata["classes"]))
+        network.load_state_dict(tensors)
+    except (KeyError, ValueError, RuntimeError):
+        raise DataError(f"{path} holds no wide residual network; make it with the stage train_features") from None
+    return network.eval().to(device)
+
+
+def load_feature_extractor(path: Path, device: torch.device) -> FeatureExtractor:
+    """Load the frozen feature extractor `save_feature_extractor` wrote. Raises DataError where the file is not one."""
+    return FeatureExtractor(load_wide_resnet(path, device)).to(device)
+
+
+@torch.no_grad()
+def extract(
+    extractor: FeatureExtractor, images: Float[Tensor, "B 3 H W"] | UInt8[Tensor, "B 3 H W"], batch_size: int
+) -> list[Float[Tensor, "B _ _ _"]]:
+    """Compute the features of photographs once, to be kept: in half precision, channels last, on the images' device.
+
+    Images are RGB, in [0, 1] or 8-bit. A 32x32 picture takes 115 kB under WRN-16-2.
+    """
+    kept: list[Tensor] = []
+    for start in range(0, len(images), batch_size):
+        batch = images[start : start + batch_size]
+        layers = extractor(batch.float() / 255 if batch.dtype == torch.uint8 else batch)
+        if not kept:
+            kept = [
+                torch.empty(
+                    (len(images), *layer.shape[1:]),
+                    dtype=torch.float16,
+                    device=images.device,
+                    memory_format=torch.channels_last,
+                )
+                for layer in layers
+            ]
+        for whole, layer in zip(kept, layers, strict=True):
+            whole[start : start + batch_size] = layer
+    return kept

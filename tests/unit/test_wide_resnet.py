@@ -1,0 +1,111 @@
+"""The network's size, the folding of its normalisations, and the file it travels in."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from pipeline.errors import DataError
+from pipeline.files import save_tensors
+from pipeline.networks.wide_resnet import (
+    FeatureExtractor,
+    WideResNet,
+    extract,
+    load_feature_extractor,
+    load_wide_resnet,
+    save_feature_extractor,
+)
+from pipeline.seeding import generator, initialised
+
+CPU = torch.device("cpu")
+
+
+def trained_like(depth: int = 10, width: int = 1) -> WideResNet:
+    """Build a network whose normalisations have statistics and weights of their own."""
+    rng = generator(0, "statistics")
+    with initialised(0, "network"):
+        network = WideResNet(depth, width, 10)
+    for module in network.modules():
+        if isinstance(module, torch.nn.BatchNorm2d):
+            for tensor in (module.running_var, module.weight.data):
+                assert tensor is not None
+                tensor.uniform_(0.5, 2.0, generator=rng)
+            for tensor in (module.running_mean, module.bias.data):
+                assert tensor is not None
+                tensor.uniform_(-0.5, 0.5, generator=rng)
+    return network.eval()
+
+
+def random_images(count: int = 4) -> torch.Tensor:
+    return torch.rand(count, 3, 32, 32, generator=generator(0, "images"))
+
+
+def test_wrn_16_4_has_the_published_number_of_parameters() -> None:
+    assert sum(parameter.numel() for parameter in WideResNet(16, 4, 10).parameters()) == 2_748_890
+
+
+def test_depth_must_be_six_n_plus_four() -> None:
+    with pytest.raises(ValueError, match="6 N \\+ 4"):
+        WideResNet(18, 1, 10)
+
+
+def test_features_are_the_group_outputs_before_sub_sampling() -> None:
+    shapes = [tuple(layer.shape) for layer in FeatureExtractor(WideResNet(16, 4, 10))(random_images(2))]
+    assert shapes == [(2, 64, 32, 32), (2, 128, 16, 16), (2, 256, 8, 8)]
+
+
+def test_folding_changes_no_feature() -> None:
+    network = trained_like(16, 2)
+    images = random_images()
+    for folded, plain in zip(FeatureExtractor(network)(images), network.features(images), strict=True):
+        torch.testing.assert_close(folded, plain, rtol=1e-4, atol=1e-4)
+
+
+def test_folding_leaves_the_network_itself_alone() -> None:
+    network = trained_like()
+    before = network(random_images())
+    FeatureExtractor(network)
+    assert torch.equal(network(random_images()), before)
+
+
+def test_extractor_is_frozen_in_training_mode_too() -> None:
+    extractor = FeatureExtractor(trained_like())
+    before = extractor(random_images())
+    extractor.train()
+    after = extractor(random_images())
+    assert all(torch.equal(a, b) for a, b in zip(before, after, strict=True))
+    assert not any(parameter.requires_grad for parameter in extractor.parameters())
+
+
+def test_gradients_reach_the_images() -> None:
+    images = random_images().requires_grad_()
+    sum(layer.square().mean() for layer in FeatureExtractor(trained_like())(images)).backward()
+    assert images.grad is not None
+    assert (images.grad.flatten(1).norm(dim=1) > 0).all()
+
+
+def test_a_network_survives_its_file(tmp_path: Path) -> None:
+    network = trained_like()
+    path = tmp_path / "features.safetensors"
+    save_feature_extractor(path, network, {"method": "classification"})
+    assert path.stat().st_size < 2.2 * sum(tensor.numel() for tensor in network.state_dict().values())
+    images = random_images()
+    torch.testing.assert_close(load_wide_resnet(path, CPU)(images), network(images), rtol=0.02, atol=0.02)
+    for loaded, own in zip(load_feature_extractor(path, CPU)(images), FeatureExtractor(network)(images), strict=True):
+        torch.testing.assert_close(loaded, own, rtol=0.02, atol=0.02)
+
+
+def test_a_file_of_something_else_is_a_data_error(tmp_path: Path) -> None:
+    path = tmp_path / "mesh.safetensors"
+    save_tensors(path, {"vertices": torch.zeros(3, 3)}, {})
+    with pytest.raises(DataError, match=r"mesh\.safetensors holds no wide residual network"):
+        load_feature_extractor(path, CPU)
+
+
+def test_kept_features_are_those_of_the_pictures() -> None:
+    extractor = FeatureExtractor(trained_like())
+    images = (random_images(5) * 255).to(torch.uint8)
+    for kept, own in zip(extract(extractor, images, 2), extractor(images.float() / 255), strict=True):
+        assert kept.dtype == torch.float16
+        assert kept.is_contiguous(memory_format=torch.channels_last)
+        torch.testing.assert_close(kept.float(), own, rtol=2e-3, atol=2e-3)
