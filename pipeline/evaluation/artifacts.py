@@ -1,0 +1,95 @@
+"""What evaluation and report read of the chain's artifacts: reconstructions of the test pictures, and ground truth."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from pipeline.files import load_tensors, read_json
+from pipeline.geometry.camera import Pose, pose_from_tensor
+
+STAGES = ("predicted", "tuned")
+
+
+class Reconstruction(NamedTuple):
+    """The test pictures as the model explains them, at one moment.
+
+    Attributes:
+        pose: camera pose in the learned frame.
+        vertices: learned frame, unit cube.
+        backgrounds: colour of each row of the picture, in [0, 1].
+        images: the rendering, in [0, 1].
+    """
+
+    pose: Pose
+    vertices: Float[Tensor, "B V 3"]
+    backgrounds: Float[Tensor, "B 3 H"]
+    images: Float[Tensor, "B 3 H W"]
+
+
+class Reconstructions(NamedTuple):
+    """Reconstructions before (`predicted`) and after (`tuned`) fine-tuning, and what both share.
+
+    Attributes:
+        textures: one map per picture, in [0, 1].
+        directions: each vertex's point on the unit sphere, the texture domain.
+        test_index: position of each picture in the test split.
+    """
+
+    predicted: Reconstruction
+    tuned: Reconstruction
+    textures: Float[Tensor, "B 3 T T"]
+    faces: Int[Tensor, "F 3"]
+    directions: Float[Tensor, "V 3"]
+    test_index: Int[Tensor, " B"]
+
+
+class Truth(NamedTuple):
+    """Ground truth of one split of a category; shapes share their faces and fit the unit cube."""
+
+    pose: Pose
+    masks: Bool[Tensor, "B H W"]
+    vertices: Float[Tensor, "B V 3"]
+    faces: Int[Tensor, "F 3"]
+
+
+def load_reconstructions(path: Path) -> Reconstructions:
+    """Read the artifact of `fine_tune`."""
+    tensors, _ = load_tensors(path)
+
+    def at(stage: str) -> Reconstruction:
+        return Reconstruction(
+            pose_from_tensor(tensors[f"pose_{stage}"]),
+            tensors[f"vertices_{stage}"],
+            tensors[f"backgrounds_{stage}"],
+            tensors[f"images_{stage}"].float() / 255,
+        )
+
+    return Reconstructions(
+        *map(at, STAGES), tensors["textures"], tensors["faces"], tensors["directions"], tensors["test_index"]
+    )
+
+
+def load_images(path: Path, index: Int[Tensor, " B"]) -> Float[Tensor, "B 3 H W"]:
+    """Read the chosen photographs of a prepared category, in [0, 1]."""
+    stored = numpy.load(path, mmap_mode="r")[index.numpy()]
+    return torch.from_numpy(stored).permute(0, 3, 1, 2).float() / 255
+
+
+def load_truth(folder: Path, split: str, category: str) -> Truth | None:
+    """Read the ground truth of one split, or return None where the dataset has none for the category."""
+    if category not in read_json(folder / "index.json"):
+        return None
+    with numpy.load(folder / split / f"{category}.npz") as stored:
+        arrays = {name: torch.from_numpy(stored[name]) for name in stored.files}
+    pose = Pose(*(arrays[name] for name in Pose._fields))
+    return Truth(pose, arrays["masks"].bool(), arrays["vertices"], arrays["faces"].long())
+
+
+def select(truth: Truth, index: Int[Tensor, " B"]) -> Truth:
+    """Keep the chosen pictures of a split."""
+    pose = Pose(*(values[index] for values in truth.pose))
+    return truth._replace(pose=pose, masks=truth.masks[index], vertices=truth.vertices[index])

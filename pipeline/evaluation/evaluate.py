@@ -1,0 +1,136 @@
+"""Measure one run: its reconstructions, and its viewpoints and shapes where the truth is known (design: Evaluate)."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from pipeline.evaluation.alignment import fit_alignment, turn_pose, turn_vertices
+from pipeline.evaluation.artifacts import STAGES, Reconstruction, Reconstructions, Truth
+from pipeline.evaluation.image_metrics import image_columns, image_figures
+from pipeline.evaluation.pose_metrics import baseline_figures, pose_columns, pose_figures
+from pipeline.evaluation.shape import iou
+from pipeline.evaluation.shape_metrics import ShapeConfig, TrueShapes, silhouettes
+from pipeline.evaluation.statistics import mean_figure
+from pipeline.geometry.camera import Pose
+from pipeline.networks.wide_resnet import FeatureExtractor
+from pipeline.rendering.renderer import RendererConfig
+from pipeline.seeding import generator
+
+SPLITS = {"predicted": "test", "tuned": "test_tuned"}
+
+
+@dataclass(frozen=True)
+class EvaluateConfig:
+    """How a run is measured.
+
+    Attributes:
+        renderer: the camera and picture size of the fine-tuned reconstructions, for their masks.
+        shape: how finely shapes are compared.
+        chance_draws: random guesses a picture for the chance rows.
+        batch_size: pictures in one pass through the feature extractor.
+    """
+
+    renderer: RendererConfig
+    shape: ShapeConfig
+    chance_draws: int
+    batch_size: int
+
+
+class Learned(NamedTuple):
+    """What the chain learned, all in the learned frame.
+
+    Attributes:
+        training_pose: recorded best pose of each training picture, in the order of the training split.
+        base: base shape after remeshing, with its faces.
+        seeds: base shapes of all seeds, with theirs.
+    """
+
+    reconstructions: Reconstructions
+    training_pose: Pose
+    base: Float[Tensor, "V 3"]
+    base_faces: Int[Tensor, "F 3"]
+    seeds: Float[Tensor, "S W 3"]
+    seed_faces: Int[Tensor, "G 3"]
+
+
+Columns = dict[str, Tensor]
+
+
+def evaluate_images(
+    photographs: Float[Tensor, "B 3 H W"],
+    reconstructions: Reconstructions,
+    extractor: FeatureExtractor,
+    config: EvaluateConfig,
+) -> tuple[dict[str, Any], Columns]:
+    """Measure reconstructions before and after fine-tuning; return the figures and one row a picture."""
+    columns = {
+        stage: image_columns(photographs, getattr(reconstructions, stage).images, extractor, config.batch_size)
+        for stage in STAGES
+    }
+    table = {"test_index": reconstructions.test_index, **_flatten(columns)}
+    return {"reconstruction": image_figures(columns["predicted"], columns["tuned"])}, table
+
+
+def evaluate_truth(
+    learned: Learned, training: Truth, test: Truth, config: EvaluateConfig, seed: int
+) -> tuple[dict[str, Any], Columns]:
+    """Measure viewpoints and shapes against the truth of the same pictures; return the figures and one row a picture.
+
+    The learned frame is first turned about +y by the angle that suits the training split's recorded poses best.
+    """
+    angle = fit_alignment(training.pose, learned.training_pose)
+    pose, pose_table = _evaluate_pose(learned, training, test, angle, config, seed)
+    shape, shape_table = _evaluate_shape(learned, training, test, angle, config, seed)
+    alignment = {"degrees": math.degrees(angle), "n": len(training.masks)}
+    truth = {"truth_azimuth": torch.rad2deg(test.pose.azimuth), "truth_elevation": torch.rad2deg(test.pose.elevation)}
+    return {"alignment": alignment, "pose": pose, "shape": shape}, {**truth, **pose_table, **shape_table}
+
+
+def _evaluate_pose(
+    learned: Learned, training: Truth, test: Truth, angle: float, config: EvaluateConfig, seed: int
+) -> tuple[dict[str, Any], Columns]:
+    rng = generator(seed, "evaluate pose")
+    figures: dict[str, Any] = baseline_figures(test.pose, training.pose, config.chance_draws, rng)
+    figures["train"] = pose_figures(training.pose, turn_pose(learned.training_pose, angle), rng)
+    columns = {}
+    for stage, split in SPLITS.items():
+        estimate = turn_pose(getattr(learned.reconstructions, stage).pose, angle)
+        figures[split] = pose_figures(test.pose, estimate, rng)
+        columns[stage] = pose_columns(test.pose, estimate)
+    return figures, _flatten(columns)
+
+
+def _evaluate_shape(
+    learned: Learned, training: Truth, test: Truth, angle: float, config: EvaluateConfig, seed: int
+) -> tuple[dict[str, Any], Columns]:
+    rng = generator(seed, "evaluate shape")
+    shapes = TrueShapes(test, training, config.shape, rng)
+    columns = {}
+    for stage in STAGES:
+        reconstruction: Reconstruction = getattr(learned.reconstructions, stage)
+        vertices = turn_vertices(reconstruction.vertices, angle)
+        columns[stage] = shapes.columns(vertices, learned.reconstructions.faces, rng)
+        masks = silhouettes(
+            reconstruction, learned.reconstructions.faces, learned.reconstructions.directions, config.renderer
+        )
+        columns[stage]["mask_iou"] = iou(masks, test.masks)
+    figures: dict[str, Any] = {
+        split: {name: mean_figure(values) for name, values in columns[stage].items()} for stage, split in SPLITS.items()
+    }
+    figures["base"] = shapes.base_figures(turn_vertices(learned.base, angle), learned.base_faces, rng)
+    figures["base"]["seed_mean_shape_iou"] = shapes.seed_ious(learned.seeds, learned.seed_faces)
+    typical_mask = training.masks.double().mean(0) >= 0.5
+    figures["constant"] = {
+        "voxel_iou": shapes.constant_figure(),
+        "mask_iou": mean_figure(iou(typical_mask.expand_as(test.masks), test.masks)),
+    }
+    return figures, _flatten(columns)
+
+
+def _flatten(columns: Mapping[str, Columns]) -> Columns:
+    return {f"{name}_{stage}": values for stage, group in columns.items() for name, values in group.items()}

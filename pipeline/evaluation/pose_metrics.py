@@ -1,0 +1,79 @@
+"""The pose section of a run's metrics, with what chance and a constant answer reach beside it (design: Evaluate)."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from pipeline.evaluation.alignment import chance_errors, fit_constant
+from pipeline.evaluation.pose import ACCURATE, MODES, error_mode, geodesic_distance, pose_error, rotation, seen_side
+from pipeline.evaluation.statistics import Figure, mean_figure, median_figure
+from pipeline.geometry.camera import Pose
+
+Columns = dict[str, Tensor]
+PoseFigures = dict[str, float | int | Figure]
+
+
+def pose_columns(truth: Pose, estimate: Pose) -> Columns:
+    """Compare aligned estimates with the truth, one row a picture: angles and errors in degrees, mode as an index."""
+    return {
+        "azimuth": _degrees(estimate.azimuth),
+        "elevation": _degrees(estimate.elevation),
+        "roll": _degrees(estimate.roll),
+        "rotation_error": torch.rad2deg(pose_error(truth, estimate)),
+        "error_mode": error_mode(truth, estimate),
+    }
+
+
+def pose_figures(truth: Pose, estimate: Pose, generator: torch.Generator) -> PoseFigures:
+    """Summarize aligned estimates: accuracy, median error, the modes of failure, and the side seen.
+
+    `seen_side` is the fraction of pictures whose nearest side (front, right, back, left) is right; `front_or_side` asks
+    only whether the object is seen lengthwise or from a side, so that flipped and mirrored estimates count as right.
+    """
+    modes = error_mode(truth, estimate)
+    true_side, side = seen_side(truth.azimuth), seen_side(estimate.azimuth)
+    figures = error_figures(pose_error(truth, estimate), generator)
+    for index, name in enumerate(MODES[1:], start=1):
+        figures[name] = mean_figure(modes == index)
+    figures["seen_side"] = mean_figure(side == true_side)
+    figures["front_or_side"] = mean_figure(side % 2 == true_side % 2)
+    return figures
+
+
+def error_figures(errors: Float[Tensor, " B"], generator: torch.Generator) -> PoseFigures:
+    """Summarize geodesic errors in radians: fraction within 30 degrees (n, standard error beside it), and median."""
+    accuracy = mean_figure(errors <= ACCURATE)
+    median = median_figure(torch.rad2deg(errors), generator)
+    return {
+        "acc_pi6": accuracy["value"],
+        "n": accuracy["n"],
+        "standard_error": accuracy["standard_error"],
+        "median_error_degrees": median,
+    }
+
+
+def baseline_figures(truth: Pose, training: Pose, draws: int, generator: torch.Generator) -> dict[str, PoseFigures]:
+    """Measure what needs no picture: `chance` guesses azimuth, `constant` always gives the training split's best pose.
+
+    For chance, n counts pictures and the standard error is that of the pictures' hit rates over all their draws.
+    """
+    guesses = chance_errors(truth, training, draws, generator)
+    hits = mean_figure((guesses <= ACCURATE).double().mean(0))
+    median = median_figure(torch.rad2deg(guesses).quantile(0.5, dim=0), generator)
+    constant = geodesic_distance(rotation(truth), fit_constant(training).expand(len(truth.azimuth), 3, 3))
+    return {
+        "chance": {
+            "acc_pi6": hits["value"],
+            "n": hits["n"],
+            "standard_error": hits["standard_error"],
+            "median_error_degrees": median,
+        },
+        "constant": error_figures(constant, generator),
+    }
+
+
+def _degrees(angle: Float[Tensor, " B"]) -> Float[Tensor, " B"]:
+    """Convert radians to degrees in [-180, 180)."""
+    return torch.rad2deg((angle + math.pi) % (2 * math.pi) - math.pi)

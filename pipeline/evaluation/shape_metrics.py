@@ -1,0 +1,105 @@
+"""The shape section of a run's metrics: volumes, surfaces and masks against the ground truth (design: Evaluate)."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from pipeline.evaluation.alignment import turn_vertices
+from pipeline.evaluation.artifacts import Reconstruction, Truth
+from pipeline.evaluation.shape import chamfer_l1, iou, sample_surface
+from pipeline.evaluation.statistics import Figure, mean_figure
+from pipeline.geometry.normalize import fit_unit_cube
+from pipeline.geometry.voxels import voxelize
+from pipeline.rendering.renderer import Mesh, RendererConfig, render
+
+Columns = dict[str, Tensor]
+
+SEED_TURNS = 24
+
+
+@dataclass(frozen=True)
+class ShapeConfig:
+    """How finely shapes are compared.
+
+    Attributes:
+        voxel_resolution: voxels along each side of the unit cube.
+        surface_points: points drawn from each surface for the Chamfer distance.
+    """
+
+    voxel_resolution: int
+    surface_points: int
+
+
+class TrueShapes:
+    """The true shapes of the test pictures, voxelized and sampled once, and the mean shape of the training split."""
+
+    def __init__(self, truth: Truth, training: Truth, config: ShapeConfig, generator: torch.Generator) -> None:
+        self._config = config
+        self.faces = truth.faces
+        self.voxels = voxelize(truth.vertices, truth.faces, config.voxel_resolution)
+        self.points = sample_surface(truth.vertices, truth.faces, config.surface_points, generator)
+        occupied = voxelize(training.vertices, training.faces, config.voxel_resolution)
+        self.mean_shape: Bool[Tensor, "K K K"] = occupied.double().mean(0) >= 0.5
+
+    def columns(
+        self, vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], generator: torch.Generator
+    ) -> Columns:
+        """Compare one shape per picture, already in the frame of the truth, with the picture's true shape.
+
+        Shapes are scaled into the unit cube again, because turning them may have changed their bounding box.
+        """
+        fitted = fit_unit_cube(vertices)
+        points = sample_surface(fitted, faces, self._config.surface_points, generator)
+        return {
+            "voxel_iou": iou(voxelize(fitted, faces, self._config.voxel_resolution), self.voxels),
+            "chamfer_l1": _chamfer_in_parts(points, self.points),
+        }
+
+    def base_figures(
+        self, base: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], generator: torch.Generator
+    ) -> dict[str, Figure | float]:
+        """Compare the one base shape, already aligned, with every test picture's shape and with the mean shape."""
+        fitted = fit_unit_cube(base[None])
+        voxels = voxelize(fitted, faces, self._config.voxel_resolution)
+        points = sample_surface(fitted, faces, self._config.surface_points, generator)
+        return {
+            "voxel_iou": mean_figure(iou(voxels.expand_as(self.voxels), self.voxels)),
+            "chamfer_l1": mean_figure(_chamfer_in_parts(points.expand_as(self.points), self.points)),
+            "mean_shape_iou": iou(voxels, self.mean_shape[None]).item(),
+        }
+
+    def constant_figure(self) -> Figure:
+        """Compare the training split's mean shape with every test picture's shape: the best a constant can do."""
+        return mean_figure(iou(self.mean_shape.expand_as(self.voxels), self.voxels))
+
+    def seed_ious(self, seeds: Float[Tensor, "S V 3"], faces: Int[Tensor, "F 3"]) -> list[float]:
+        """Compare each seed's base shape with the mean shape, in the best of 24 turns about +y.
+
+        Seeds that were not chosen have no poses to align them by, so this flatters each of them alike.
+        """
+        turns = [turn_vertices(seeds, 2 * math.pi * turn / SEED_TURNS) for turn in range(SEED_TURNS)]
+        overlaps = [
+            iou(voxels, self.mean_shape.expand_as(voxels))
+            for voxels in (voxelize(fit_unit_cube(turned), faces, self._config.voxel_resolution) for turned in turns)
+        ]
+        return torch.stack(overlaps).amax(0).tolist()
+
+
+def silhouettes(
+    reconstruction: Reconstruction,
+    faces: Int[Tensor, "F 3"],
+    directions: Float[Tensor, "V 3"],
+    config: RendererConfig,
+) -> Bool[Tensor, "B H W"]:
+    """Render the masks of reconstructed objects: pixels covered by at least half."""
+    white = torch.ones(len(reconstruction.vertices), 3, 2, 2)
+    mesh = Mesh(reconstruction.vertices, faces, directions)
+    return render(mesh, white, reconstruction.pose, None, None, config).silhouettes >= 0.5
+
+
+def _chamfer_in_parts(first: Float[Tensor, "B K 3"], second: Float[Tensor, "B K 3"]) -> Float[Tensor, " B"]:
+    parts = zip(first.split(16), second.split(16), strict=True)
+    return torch.cat([chamfer_l1(one, other) for one, other in parts])

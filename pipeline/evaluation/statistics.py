@@ -1,0 +1,31 @@
+"""Figures: a number together with how many samples it rests on and how far chance may have moved it."""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+Figure = dict[str, float | int]
+
+BOOTSTRAP_DRAWS = 200
+
+
+def mean_figure(values: Float[Tensor, " B"] | Bool[Tensor, " B"]) -> Figure:
+    """Summarize samples, or how often something holds, by their mean.
+
+    The standard error is the sample standard deviation over the square root of n; for one sample it is 0.
+    """
+    count = len(values)
+    spread = values.double().std().item() if count > 1 else 0.0
+    return {"value": values.double().mean().item(), "n": count, "standard_error": spread / count**0.5}
+
+
+def median_figure(values: Float[Tensor, " B"], generator: torch.Generator) -> Figure:
+    """Summarize samples by their median, with the standard deviation of bootstrapped medians as standard error."""
+    count = len(values)
+    draws = torch.randint(count, (BOOTSTRAP_DRAWS, count), generator=generator)
+    medians = values.double()[draws].quantile(0.5, dim=1)
+    return {
+        "value": values.double().quantile(0.5).item(),
+        "n": count,
+        "standard_error": medians.std().item(),
+    }

@@ -1,0 +1,65 @@
+"""Tables: one row a picture as CSV, and a run's figures as text for the terminal."""
+
+import csv
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from torch import Tensor
+
+from pipeline.evaluation.pose import MODES
+from pipeline.files import atomic_path
+
+Columns = Mapping[str, Tensor]
+
+
+def write_table(path: Path, columns: Columns) -> None:
+    """Write columns of equal length as CSV, atomically; error modes are spelt out, fractions have six digits."""
+    rows = zip(*(_texts(name, values) for name, values in columns.items()), strict=True)
+    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(columns)
+        writer.writerows(rows)
+
+
+def read_table(path: Path) -> dict[str, list[str]]:
+    """Read the columns of a CSV file as text."""
+    with path.open(encoding="utf-8", newline="") as stream:
+        header, *rows = csv.reader(stream)
+    return {name: [row[column] for row in rows] for column, name in enumerate(header)}
+
+
+def figure_rows(metrics: Mapping[str, Any], prefix: str = "") -> list[tuple[str, float, float | None, int | None]]:
+    """Flatten nested figures to rows of name, value, standard error and n; the last two are None where not given.
+
+    A section that holds n and a standard error of its own lends them to its `value` or `acc_pi6`.
+    """
+    rows: list[tuple[str, float, float | None, int | None]] = []
+    for name, value in metrics.items():
+        label = f"{prefix}.{name}" if prefix else name
+        if isinstance(value, Mapping):
+            rows += figure_rows(value, label)
+        elif name in ("value", "acc_pi6"):
+            rows.append((prefix if name == "value" else label, value, metrics["standard_error"], metrics["n"]))
+        elif isinstance(value, int | float) and name not in ("n", "standard_error"):
+            rows.append((label, value, None, None))
+    return rows
+
+
+def format_figures(metrics: Mapping[str, Any]) -> str:
+    """Lay out a run's figures as aligned lines of text."""
+    rows = figure_rows(metrics)
+    width = max(len(name) for name, *_ in rows)
+    lines = [f"{'figure':<{width}}      value   std. err.      n"]
+    for name, value, error, count in rows:
+        spread = "" if error is None else f"{error:>11.4f} {count:>6}"
+        lines.append(f"{name:<{width}} {value:>10.4f} {spread}".rstrip())
+    return "\n".join(lines)
+
+
+def _texts(name: str, values: Tensor) -> list[str]:
+    if name.startswith("error_mode"):
+        return [MODES[index] for index in values.tolist()]
+    if values.is_floating_point():
+        return [f"{value:.6f}" for value in values.tolist()]
+    return [str(value) for value in values.tolist()]

@@ -1,0 +1,60 @@
+"""Measure a run's reconstructions, and its viewpoints and shapes where the truth is known."""
+
+from pathlib import Path
+
+import torch
+
+from pipeline.config import load
+from pipeline.evaluation.artifacts import load_images, load_reconstructions, load_truth, select
+from pipeline.evaluation.evaluate import EvaluateConfig, Learned, evaluate_images, evaluate_truth
+from pipeline.evaluation.tables import write_table
+from pipeline.files import load_tensors, write_json
+from pipeline.geometry.camera import pose_from_tensor
+from pipeline.networks.wide_resnet import load_feature_extractor
+from stages.command_line import parse, run
+
+
+def main() -> None:
+    """Write the figures as JSON and one row a test picture as CSV."""
+    arguments = parse(
+        __doc__,
+        truth=Path,
+        category=str,
+        test_images=Path,
+        features=Path,
+        base_shape=Path,
+        mesh=Path,
+        model=Path,
+        reconstructions=Path,
+        seed=int,
+        out=Path,
+        table=Path,
+    )
+    config = load(arguments.params, EvaluateConfig, arguments.sections)
+    reconstructions = load_reconstructions(arguments.reconstructions)
+    photographs = load_images(arguments.test_images, reconstructions.test_index)
+    extractor = load_feature_extractor(arguments.features, torch.device("cpu"))
+    figures, table = evaluate_images(photographs, reconstructions, extractor, config)
+    test = load_truth(arguments.truth, "test", arguments.category)
+    training = load_truth(arguments.truth, "train", arguments.category)
+    if test is not None and training is not None:
+        model, _ = load_tensors(arguments.model)
+        mesh, _ = load_tensors(arguments.mesh)
+        base_shape, _ = load_tensors(arguments.base_shape)
+        learned = Learned(
+            reconstructions,
+            pose_from_tensor(model["train_pose"]),
+            mesh["vertices"],
+            mesh["faces"],
+            base_shape["seed_vertices"],
+            base_shape["faces"],
+        )
+        test = select(test, reconstructions.test_index)
+        more_figures, more_columns = evaluate_truth(learned, training, test, config, arguments.seed)
+        figures, table = figures | more_figures, table | more_columns
+    write_json(arguments.out, figures)
+    write_table(arguments.table, table)
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,140 @@
+import math
+
+import torch
+
+from pipeline.evaluation.alignment import chance_errors, fit_alignment, fit_constant, turn_pose, turn_vertices
+from pipeline.evaluation.pose import (
+    ACCURATE,
+    MODES,
+    error_mode,
+    geodesic_distance,
+    pose_error,
+    rotation,
+    seen_side,
+)
+from pipeline.evaluation.pose_metrics import baseline_figures, pose_columns, pose_figures
+from pipeline.geometry.camera import CameraConfig, Pose, project
+
+
+def degrees(*values: float) -> torch.Tensor:
+    return torch.tensor(values, dtype=torch.float64).deg2rad()
+
+
+def pose(azimuth: torch.Tensor, elevation: float = 0.0, roll: float = 0.0) -> Pose:
+    count = len(azimuth)
+    return Pose(
+        azimuth,
+        torch.full_like(azimuth, math.radians(elevation)),
+        torch.full_like(azimuth, math.radians(roll)),
+        torch.zeros(count, 2, dtype=torch.float64),
+        torch.ones_like(azimuth),
+    )
+
+
+def random_pose(count: int, seed: int) -> Pose:
+    rng = torch.Generator().manual_seed(seed)
+    unit = torch.rand(3, count, generator=rng, dtype=torch.float64)
+    azimuth, elevation, roll = unit[0] * 2 * math.pi, unit[1] * 0.5, (unit[2] - 0.5) * 0.2
+    return pose(azimuth)._replace(elevation=elevation, roll=roll)
+
+
+def test_geodesic_distance_is_the_angle_of_a_turn_about_any_axis() -> None:
+    angles = degrees(0, 1e-4, 30, 90, 179.999, 180)
+    axis = torch.tensor([2.0, -1, 0.5], dtype=torch.float64)
+    x, y, z = axis / axis.norm()
+    skew = torch.stack([torch.stack([0 * x, -z, y]), torch.stack([z, 0 * x, -x]), torch.stack([-y, x, 0 * x])])
+    turns = torch.linalg.matrix_exp(angles[:, None, None] * skew)
+    base = rotation(random_pose(len(angles), 0))
+    torch.testing.assert_close(geodesic_distance(turns @ base, base), angles, atol=1e-7, rtol=0)
+
+
+def test_geodesic_distance_equals_the_norm_of_the_logarithm() -> None:
+    first, second = rotation(random_pose(5, 1)), rotation(random_pose(5, 2))
+    eigenvalues = torch.linalg.eigvals(first @ second.transpose(1, 2))
+    norm = eigenvalues.log().abs().square().sum(1).sqrt()
+    torch.testing.assert_close(geodesic_distance(first, second), norm / math.sqrt(2))
+
+
+def test_pose_error_of_known_turns() -> None:
+    truth = pose(degrees(10, 10, 350, 0))
+    estimate = pose(degrees(10, 50, 10, 180))
+    torch.testing.assert_close(pose_error(truth, estimate), degrees(0, 40, 20, 180))
+    torch.testing.assert_close(pose_error(pose(degrees(70)), pose(degrees(70), roll=25)), degrees(25))
+    torch.testing.assert_close(pose_error(pose(degrees(70)), pose(degrees(70), elevation=-12)), degrees(12))
+
+
+def test_error_modes() -> None:
+    truth = pose(degrees(50, 50, 50, 50, 50))
+    estimate = pose(degrees(60, 225, -50, 135, 0))
+    assert [MODES[mode] for mode in error_mode(truth, estimate)] == [
+        "correct",
+        "flipped",
+        "mirrored",
+        "front_back",
+        "other",
+    ]
+
+
+def test_mirrored_estimate_has_opposite_roll() -> None:
+    truth, estimate = pose(degrees(90), elevation=10, roll=20), pose(degrees(-90), elevation=10, roll=-20)
+    assert MODES[error_mode(truth, estimate)[0]] == "mirrored"
+    level, rolled = pose(degrees(50), roll=20), pose(degrees(-50), roll=20)
+    assert MODES[error_mode(level, rolled)[0]] == "other"
+
+
+def test_seen_side() -> None:
+    assert seen_side(degrees(0, 44, 46, 90, 170, -100, 350)).tolist() == [0, 0, 1, 1, 2, 3, 0]
+
+
+def test_alignment_recovers_the_turn_of_the_learned_frame() -> None:
+    truth = random_pose(200, 3)
+    estimate = turn_pose(truth, math.radians(-137))
+    estimate = estimate._replace(azimuth=torch.where(torch.arange(200) % 3 == 0, -estimate.azimuth, estimate.azimuth))
+    assert math.degrees(fit_alignment(truth, estimate)) % 360 == 137
+
+
+def test_turned_vertices_seen_from_turned_pose_look_the_same() -> None:
+    vertices = torch.rand(4, 10, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) - 0.5
+    learned, camera = random_pose(4, 4), CameraConfig(distance=3.0, field_of_view=30.0)
+    seen = project(turn_vertices(vertices, 1.1), turn_pose(learned, 1.1), camera)
+    torch.testing.assert_close(seen, project(vertices, learned, camera))
+
+
+def test_constant_is_the_most_frequent_view() -> None:
+    azimuth = torch.cat([degrees(*([90.0] * 60)), degrees(*range(0, 360, 10))])
+    truth = pose(azimuth, elevation=20, roll=5)
+    errors = geodesic_distance(fit_constant(truth).expand(len(azimuth), 3, 3), rotation(truth))
+    assert (errors[:60] <= ACCURATE).all()
+    assert (errors <= ACCURATE).sum() >= 60 + 7
+
+
+def test_chance_is_a_sixth_of_the_circle_when_only_azimuth_is_free() -> None:
+    truth = pose(random_pose(50, 5).azimuth, elevation=0)
+    errors = chance_errors(truth, truth, 360, torch.Generator().manual_seed(0))
+    torch.testing.assert_close(
+        (errors <= ACCURATE).double().mean(0), torch.full((50,), 1 / 6).double(), atol=1 / 360, rtol=0
+    )
+
+
+def test_figures_of_ten_estimates() -> None:
+    truth = pose(degrees(*range(0, 100, 10)))
+    estimate = truth._replace(azimuth=truth.azimuth + degrees(0, 0, 0, 0, 0, 0, 10, 20, 180, 180))
+    figures = pose_figures(truth, estimate, torch.Generator().manual_seed(0))
+    assert figures["n"] == 10
+    assert figures["acc_pi6"] == 0.8
+    assert math.isclose(figures["standard_error"], math.sqrt(0.8 * 0.2 / 9))
+    assert figures["flipped"]["value"] == 0.2
+    assert abs(figures["median_error_degrees"]["value"]) < 1e-6
+
+
+def test_columns_are_in_degrees_around_zero() -> None:
+    columns = pose_columns(pose(degrees(350)), pose(degrees(340), elevation=5))
+    torch.testing.assert_close(columns["azimuth"], torch.tensor([-20.0], dtype=torch.float64))
+    torch.testing.assert_close(columns["elevation"], torch.tensor([5.0], dtype=torch.float64))
+
+
+def test_constant_row_beats_chance_where_views_are_biased() -> None:
+    azimuth = random_pose(300, 6).azimuth * 0.2
+    rows = baseline_figures(pose(azimuth), pose(azimuth), 72, torch.Generator().manual_seed(0))
+    assert rows["constant"]["acc_pi6"] > 0.75 > 0.25 > rows["chance"]["acc_pi6"]
+    assert rows["chance"]["n"] == rows["constant"]["n"] == 300

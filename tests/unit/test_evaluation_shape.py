@@ -1,0 +1,40 @@
+import torch
+
+from pipeline.evaluation.shape import chamfer_l1, iou, sample_surface
+
+TRIANGLES = torch.tensor([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [0, 2, 5]]])
+FACES = torch.tensor([[0, 1, 2], [3, 4, 5]])
+
+
+def box(low: int, high: int) -> torch.Tensor:
+    grid = torch.zeros(1, 8, 8, 8, dtype=torch.bool)
+    grid[:, low:high, low:high, low:high] = True
+    return grid
+
+
+def test_iou_of_boxes() -> None:
+    torch.testing.assert_close(iou(box(0, 4), box(2, 6)), torch.tensor([8 / (64 + 64 - 8)]))
+    assert iou(box(1, 3), box(0, 4)).item() == 1 / 8
+    assert iou(box(0, 4), box(4, 8)).item() == 0
+    assert iou(box(0, 0), box(0, 0)).item() == 1
+
+
+def test_chamfer_of_shifted_grids_is_the_shift() -> None:
+    axis = torch.arange(4.0)
+    points = torch.cartesian_prod(axis, axis, axis)[None]
+    shifted = points + torch.tensor([0.0, 0.3, 0.4])
+    torch.testing.assert_close(chamfer_l1(points, shifted), torch.tensor([0.5]))
+
+
+def test_chamfer_counts_both_directions() -> None:
+    one, two = torch.zeros(1, 1, 3), torch.tensor([[[0.0, 0, 0], [0, 0, 3]]])
+    assert chamfer_l1(one, two).item() == (0 + 1.5) / 2
+
+
+def test_points_lie_on_the_surface_in_proportion_to_area() -> None:
+    points = sample_surface(TRIANGLES, FACES, 4000, torch.Generator().manual_seed(0))[0]
+    lower = points[:, 2] < 1
+    torch.testing.assert_close(lower.float().mean(), torch.tensor(0.5 / 3.5), atol=0.02, rtol=0)
+    assert (points[lower][:, :2].sum(1) <= 1 + 1e-6).all()
+    torch.testing.assert_close(points[lower].mean(0), torch.tensor([1 / 3, 1 / 3, 0]), atol=0.03, rtol=0)
+    torch.testing.assert_close(points[~lower].mean(0), torch.tensor([1, 2 / 3, 5]), atol=0.05, rtol=0)

@@ -1,0 +1,54 @@
+from pathlib import Path
+
+import torch
+
+from pipeline.evaluation.statistics import mean_figure, median_figure
+from pipeline.evaluation.tables import figure_rows, format_figures, read_table, write_table
+
+METRICS = {
+    "alignment": {"degrees": 180.0, "n": 50},
+    "pose": {
+        "test": {
+            "acc_pi6": 0.75,
+            "n": 40,
+            "standard_error": 0.07,
+            "flipped": {"value": 0.2, "n": 40, "standard_error": 0.1},
+        }
+    },
+}
+
+
+def test_standard_error_of_a_mean() -> None:
+    assert mean_figure(torch.tensor([1.0, 3.0])) == {"value": 2.0, "n": 2, "standard_error": 1.0}
+    assert mean_figure(torch.tensor([True]))["standard_error"] == 0
+
+
+def test_standard_error_of_a_normal_median() -> None:
+    rng = torch.Generator().manual_seed(0)
+    figure = median_figure(torch.randn(2000, generator=rng), rng)
+    assert abs(figure["value"]) < 0.1
+    assert abs(figure["standard_error"] - 1.2533 / 2000**0.5) < 0.006
+
+
+def test_rows_carry_n_and_standard_error() -> None:
+    assert figure_rows(METRICS) == [
+        ("alignment.degrees", 180.0, None, None),
+        ("pose.test.acc_pi6", 0.75, 0.07, 40),
+        ("pose.test.flipped", 0.2, 0.1, 40),
+    ]
+
+
+def test_text_has_one_line_a_figure() -> None:
+    lines = format_figures(METRICS).splitlines()
+    assert len(lines) == 4
+    assert lines[2].split() == ["pose.test.acc_pi6", "0.7500", "0.0700", "40"]
+
+
+def test_table_round_trip(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    write_table(
+        path,
+        {"test_index": torch.tensor([3, 1]), "error_mode_tuned": torch.tensor([0, 1]), "ssim": torch.tensor([0.5, 1])},
+    )
+    assert path.read_text() == "test_index,error_mode_tuned,ssim\n3,correct,0.500000\n1,flipped,1.000000\n"
+    assert read_table(path)["error_mode_tuned"] == ["correct", "flipped"]
