@@ -1,0 +1,79 @@
+"""Poses and the perspective camera."""
+
+from dataclasses import dataclass
+from math import radians, tan
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+NEAREST_DEPTH = 1e-3
+"""Depth in world units below which a point counts as behind the camera."""
+
+
+@dataclass(frozen=True)
+class CameraConfig:
+    """Set the camera that looks at the origin from a fixed distance."""
+
+    distance: float
+    """Distance from the camera to the origin, in world units."""
+    field_of_view: float
+    """Full opening angle of the square picture, in degrees."""
+
+
+class Pose(NamedTuple):
+    """Hold one viewpoint and one placement in the picture for each object of a batch (paper 3.2.3)."""
+
+    azimuth: Float[Tensor, "B"]
+    """Turn of the camera about +y, in radians; 0 looks at the front (+z), pi / 2 stands at +x."""
+    elevation: Float[Tensor, "B"]
+    """Height angle of the camera above the xz plane, in radians."""
+    roll: Float[Tensor, "B"]
+    """Counter-clockwise turn of the object in the picture, in radians."""
+    center: Float[Tensor, "B 2"]
+    """Where the world's origin falls in the picture, in ndc."""
+    scale: Float[Tensor, "B"]
+    """Factor on the size in the picture; 1 leaves the perspective projection as it is."""
+
+
+def pose_to_tensor(pose: Pose) -> Float[Tensor, "B 6"]:
+    """Stack a pose as azimuth, elevation, roll, center x, center y, scale."""
+    angles = torch.stack((pose.azimuth, pose.elevation, pose.roll), dim=1)
+    return torch.cat((angles, pose.center, pose.scale[:, None]), dim=1)
+
+
+def pose_from_tensor(values: Float[Tensor, "B 6"]) -> Pose:
+    """Read a pose from the columns that `pose_to_tensor` writes."""
+    return Pose(values[:, 0], values[:, 1], values[:, 2], values[:, 3:5], values[:, 5])
+
+
+def rotation_from_angles(
+    azimuth: Float[Tensor, "B"], elevation: Float[Tensor, "B"], roll: Float[Tensor, "B"]
+) -> Float[Tensor, "B 3 3"]:
+    """Return the rotations from world to camera axes (x right, y up, z towards the viewer), angles in radians."""
+    sin_a, cos_a = azimuth.sin(), azimuth.cos()
+    sin_e, cos_e = elevation.sin(), elevation.cos()
+    sin_r, cos_r = roll.sin(), roll.cos()
+    right = torch.stack((cos_a, torch.zeros_like(cos_a), -sin_a), dim=1)
+    up = torch.stack((-sin_a * sin_e, cos_e, -cos_a * sin_e), dim=1)
+    backward = torch.stack((sin_a * cos_e, sin_e, cos_a * cos_e), dim=1)
+    rolled_right = cos_r[:, None] * right - sin_r[:, None] * up
+    rolled_up = sin_r[:, None] * right + cos_r[:, None] * up
+    return torch.stack((rolled_right, rolled_up, backward), dim=1)
+
+
+def project(vertices_world: Float[Tensor, "B V 3"], pose: Pose, camera: CameraConfig) -> Float[Tensor, "B V 3"]:
+    """Project vertices to ndc.
+
+    The first two coordinates are x right and y up, in [-1, 1] inside the picture; the third is the depth along the
+    viewing axis in world units, positive in front of the camera. Vertices nearer than `NEAREST_DEPTH` are projected
+    as if they lay there, so that every value is finite. Gradients flow to the vertices and to the pose.
+    """
+    rotation = rotation_from_angles(pose.azimuth, pose.elevation, pose.roll)
+    vertices_camera = vertices_world @ rotation.transpose(1, 2)
+    depth = camera.distance - vertices_camera[..., 2:]
+    focal_length = 1 / tan(radians(camera.field_of_view) / 2)
+    xy_ndc = focal_length * vertices_camera[..., :2] / depth.clamp(min=NEAREST_DEPTH)
+    xy_ndc = pose.scale[:, None, None] * xy_ndc + pose.center[:, None]
+    return torch.cat((xy_ndc, depth), dim=-1)
