@@ -1,0 +1,39 @@
+# Every target sets up what it needs on a machine with Python 3.11 to 3.13, git and make.
+SHELL := /bin/bash
+PYTHON ?= python3
+BIN := .venv/bin
+STAMP := .venv/.installed
+# Stages call `python`, and one thread pool per process is what the timings in README.md were measured with.
+export PATH := $(CURDIR)/$(BIN):$(PATH)
+
+.PHONY: repro test check run bench dependencies clean
+
+repro: $(STAMP)  ## run the pipeline: by default the toybox car, from pictures to a page
+	dvc repro
+
+run: $(STAMP)  ## turn a row of the paper on and run it: ROW= SIZE=laptop|paper SOURCE= ABLATION= SEED= DATASET= CATEGORY=
+	python -m stages.run_row $(foreach option,ROW SIZE SOURCE ABLATION SEED DATASET CATEGORY,$(if $($(option)),--$(shell echo $(option) | tr A-Z a-z) "$($(option))"))
+
+test: $(STAMP)  ## the whole test suite
+	pytest
+
+check: $(STAMP)  ## style, types and the direction of imports
+	ruff check
+	ruff format --check
+	pyright
+	lint-imports
+
+bench: $(STAMP)  ## time the renderer and the training steps; JSON under results/bench
+	mkdir -p results/bench
+	pytest benchmarks --benchmark-only --benchmark-json results/bench/bench.json
+
+dependencies: $(STAMP)  ## rewrite the code dependencies of dvc.yaml
+	python -m tests.project.import_closure
+
+clean:  ## remove the environment and restart states; models and results stay
+	rm -rf .venv .checkpoints
+
+$(STAMP): constraints.txt pyproject.toml
+	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[pipeline,development]"
+	touch $@

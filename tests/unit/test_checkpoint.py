@@ -1,0 +1,117 @@
+"""A training stopped anywhere and resumed ends with the same bits."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor, nn
+from torch.optim import SGD, Adam, Optimizer
+
+from pipeline.errors import TrainingDiverged
+from pipeline.training.checkpoint import Checkpoint, pack, require_finite, restart_key, unpack
+
+
+class Training:
+    """A small training with every kind of state: weights, running statistics, optimizer, generator, memory."""
+
+    def __init__(self, kind: type[Optimizer]) -> None:
+        self.rng = torch.Generator().manual_seed(1)
+        with torch.random.fork_rng():
+            torch.manual_seed(0)
+            self.model = nn.Sequential(nn.Conv2d(3, 4, 3), nn.BatchNorm2d(4), nn.Flatten(), nn.Linear(16, 1))
+        self.model = self.model.to(memory_format=torch.channels_last)
+        settings = {"betas": (0.5, 0.99)} if kind is Adam else {"momentum": 0.9, "nesterov": True}
+        self.optimizer = kind(self.model.parameters(), lr=0.1, **settings)  # pyright: ignore[reportCallIssue]
+        self.best = torch.full((2,), torch.inf)
+
+    def parts(self) -> dict[str, nn.Module | Optimizer | torch.Generator | Tensor]:
+        return {"model": self.model, "optimizer": self.optimizer, "rng": self.rng, "best": self.best}
+
+    def step(self) -> None:
+        pictures = torch.rand(2, 3, 4, 4, generator=self.rng)
+        losses = (self.model(pictures)[:, 0] - 1).square()
+        self.best.copy_(torch.minimum(self.best, losses.detach()))
+        self.optimizer.zero_grad()
+        losses.sum().backward()
+        self.optimizer.step()
+        self.optimizer.param_groups[0]["lr"] *= 0.9
+
+
+@pytest.mark.parametrize("kind", [Adam, SGD])
+@pytest.mark.parametrize("stop", [0, 1, 3])
+def test_resumed_equals_uninterrupted(kind: type[Optimizer], stop: int, tmp_path: Path) -> None:
+    whole, stopped, resumed = Training(kind), Training(kind), Training(kind)
+    for _ in range(5):
+        whole.step()
+    for _ in range(stop):
+        stopped.step()
+    Checkpoint(tmp_path, "key").save(pack(**stopped.parts()), {"iteration": stop})
+
+    loaded = Checkpoint(tmp_path, "key").load()
+    assert loaded is not None
+    tensors, values = loaded
+    unpack(tensors, **resumed.parts())
+    for _ in range(values["iteration"], 5):
+        resumed.step()
+    expected, actual = pack(**whole.parts()), pack(**resumed.parts())
+    assert expected.keys() == actual.keys()
+    for name in expected:
+        assert torch.equal(expected[name], actual[name]), name
+
+
+def test_restoring_replaces_later_state() -> None:
+    training = Training(Adam)
+    training.step()
+    early = {name: tensor.clone() for name, tensor in pack(**training.parts()).items()}
+    training.step()
+    unpack(early, **training.parts())
+    assert all(torch.equal(tensor, early[name]) for name, tensor in pack(**training.parts()).items())
+
+
+def test_state_of_another_training_is_refused(tmp_path: Path) -> None:
+    Checkpoint(tmp_path, "one").save({"weight": torch.ones(2)}, {"rows": [{"loss": 0.5}]})
+    assert Checkpoint(tmp_path, "other").load() is None
+    assert Checkpoint(tmp_path / "nowhere", "one").load() is None
+    loaded = Checkpoint(tmp_path, "one").load()
+    assert loaded is not None
+    assert loaded[1] == {"rows": [{"loss": 0.5}]}
+
+
+def test_cleared_state_is_gone(tmp_path: Path) -> None:
+    checkpoint = Checkpoint(tmp_path, "key")
+    checkpoint.clear()
+    checkpoint.save({}, {})
+    checkpoint.clear()
+    assert checkpoint.load() is None
+
+
+def test_parts_that_do_not_match_are_refused() -> None:
+    with pytest.raises(RuntimeError, match="Missing key"):
+        unpack({"model.weight": torch.ones(1, 2)}, model=nn.Linear(2, 1))
+    with pytest.raises(KeyError, match="best"):
+        unpack({}, best=torch.ones(2))
+
+
+@dataclass(frozen=True)
+class Settings:
+    rate: float
+
+
+def test_the_key_depends_on_config_inputs_and_seed(tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    data.mkdir()
+    (data / "car.npy").write_bytes(b"1")
+    keys = [restart_key(Settings(0.1), [data], 0), restart_key(Settings(0.2), [data], 0)]
+    keys += [restart_key(Settings(0.1), [data], 1), restart_key(Settings(0.1), [], 0)]
+    (data / "car.npy").write_bytes(b"2")
+    keys.append(restart_key(Settings(0.1), [data], 0))
+    assert len(set(keys)) == 5
+    assert keys[4] == restart_key(Settings(0.1), [data], 0)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_loss_that_is_not_finite_stops_the_training(value: float) -> None:
+    require_finite(torch.tensor(1.0), 3)
+    with pytest.raises(TrainingDiverged, match=r"at iteration 17; the last checkpoint before it is kept"):
+        require_finite(torch.tensor(value), 17)

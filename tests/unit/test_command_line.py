@@ -1,0 +1,35 @@
+"""Stage scripts take every path as an argument and speak in sentences."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+from pipeline.errors import DataError
+from stages.command_line import parse, run
+
+COMMON = ["stage", "--params", "params.yaml", "--sections", "stage", "sizes.laptop.stage"]
+
+
+def test_arguments_are_typed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", [*COMMON, "--test-images", "a.npy", "b.npy", "--seed", "3", "--out", "o"])
+    arguments = parse("Do it.", test_images=list[Path], seed=int, out=Path)
+    assert arguments.sections == ["stage", "sizes.laptop.stage"]
+    assert arguments.test_images == [Path("a.npy"), Path("b.npy")]
+    assert (arguments.seed, arguments.out) == (3, Path("o"))
+
+
+def test_every_argument_is_required(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "argv", COMMON)
+    with pytest.raises(SystemExit):
+        parse("Do it.", out=Path)
+    assert "--out" in capsys.readouterr().err
+
+
+def test_a_user_error_is_one_line() -> None:
+    def fail() -> None:
+        raise DataError("data/car.npy is empty; expected pictures")
+
+    with pytest.raises(SystemExit) as caught:
+        run(fail)
+    assert caught.value.code == "error: data/car.npy is empty; expected pictures"

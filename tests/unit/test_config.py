@@ -1,0 +1,147 @@
+"""Parameters are read strictly."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import pytest
+
+from pipeline.config import load, scalar
+from pipeline.errors import ConfigError
+
+
+@dataclass(frozen=True)
+class Angle:
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Stage:
+    iterations: int
+    rate: float
+    betas: tuple[float, float]
+    widths: tuple[int, ...]
+    recipe: Literal["labels", "rotation"]
+    smooth: bool
+    note: str
+    limit: float | None
+    angle: Angle
+    turn: Angle | None
+
+
+DOCUMENT = """
+device: cpu
+stage:
+  iterations: 10
+  rate: 1.0e-4
+  betas: [0.5, 1]
+  widths: [8, 16, 32]
+  recipe: labels
+  smooth: true
+  note: plain
+  limit: null
+  angle: {low: -10, high: 10}
+  turn: null
+sizes:
+  laptop: {stage: {iterations: 2, angle: {high: 20}}}
+  other: {stage: {limit: 3, turn: {low: 0, high: 1}}}
+wrong:
+  unknown: {iteration: 3}
+  nested: {angle: {hihg: 3}}
+  kind: {iterations: 2.5}
+  truth: {iterations: true}
+  exponent: {rate: 1e-4}
+  choice: {recipe: label}
+  length: {betas: [0.5]}
+  item: {widths: [8, wide]}
+  scalar: {angle: 3}
+  section: {iterations: {low: 1}}
+  absent: {note: null}
+"""
+
+
+@pytest.fixture
+def params(tmp_path: Path) -> Path:
+    path = tmp_path / "params.yaml"
+    path.write_text(DOCUMENT)
+    return path
+
+
+def test_values_keep_their_types(params: Path) -> None:
+    config = load(params, Stage, ["stage"])
+    assert config.rate == 1e-4
+    assert config.betas == (0.5, 1.0)
+    assert isinstance(config.betas[1], float)
+    assert config.widths == (8, 16, 32)
+    assert (config.recipe, config.smooth, config.note) == ("labels", True, "plain")
+    assert config.limit is None
+    assert config.turn is None
+
+
+def test_later_sections_replace_only_what_they_name(params: Path) -> None:
+    config = load(params, Stage, ["stage", "sizes.laptop.stage", "sizes.other.stage"])
+    assert config.iterations == 2
+    assert config.angle == Angle(-10.0, 20.0)
+    assert config.limit == 3.0
+    assert config.turn == Angle(0.0, 1.0)
+    assert config.rate == 1e-4
+
+
+@pytest.mark.parametrize(
+    ("section", "words"),
+    [
+        ("wrong.unknown", ["unknown key 'wrong.unknown.iteration'", "did you mean 'iterations'?"]),
+        ("wrong.nested", ["unknown key 'wrong.nested.angle.hihg'", "did you mean 'high'?"]),
+        ("wrong.kind", ["'wrong.kind.iterations' is 2.5", "a whole number"]),
+        ("wrong.truth", ["'wrong.truth.iterations' is True", "a whole number"]),
+        ("wrong.exponent", ["'wrong.exponent.rate' is '1e-4'", "1.0e-4"]),
+        ("wrong.choice", ["'wrong.choice.recipe' is 'label'", "one of 'labels', 'rotation'"]),
+        ("wrong.length", ["'wrong.length.betas' is [0.5]", "a list of 2"]),
+        ("wrong.item", ["'wrong.item.widths'", "any number of a whole number"]),
+        ("wrong.scalar", ["'wrong.scalar.angle' is 3", "a section with low, high"]),
+        ("wrong.section", ["iterations' is a section", "a whole number"]),
+        ("wrong.absent", ["'wrong.absent.note' is None", "text"]),
+    ],
+)
+def test_a_wrong_value_is_one_sentence_naming_file_and_key(params: Path, section: str, words: list[str]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load(params, Stage, ["stage", section])
+    message = str(caught.value)
+    assert message.startswith(str(params))
+    assert "\n" not in message
+    for word in words:
+        assert word in message
+
+
+def test_a_missing_key_is_named(params: Path) -> None:
+    with pytest.raises(ConfigError, match=r"'sizes\.laptop\.stage\.rate' is missing; expected a number"):
+        load(params, Stage, ["sizes.laptop.stage"])
+
+
+@pytest.mark.parametrize(
+    ("section", "nearest"),
+    [("stag", "'stage'"), ("sizes.lptop.stage", "'sizes.laptop'"), ("sizes.laptop.sage", "'sizes.laptop.stage'")],
+)
+def test_a_missing_section_names_the_nearest(params: Path, section: str, nearest: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        load(params, Stage, [section])
+    assert f"has no '{section}'; did you mean {nearest}?" in str(caught.value)
+
+
+def test_a_value_is_no_section(params: Path) -> None:
+    with pytest.raises(ConfigError, match="'device' must be a section"):
+        load(params, Stage, ["device"])
+
+
+def test_a_scalar_is_read(params: Path) -> None:
+    assert scalar(params, "device") == "cpu"
+
+
+def test_files_that_are_no_parameters_are_named(tmp_path: Path) -> None:
+    broken, empty = tmp_path / "broken.yaml", tmp_path / "empty.yaml"
+    broken.write_text("a: [1")
+    empty.write_text("")
+    for path, words in ((broken, "is not valid YAML"), (empty, "must hold sections"), (tmp_path / "no", "not exist")):
+        with pytest.raises(ConfigError, match=words):
+            scalar(path, "device")

@@ -1,0 +1,89 @@
+"""Files appear whole or not at all, and their bytes depend on their content alone."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from pipeline.files import atomic_path, load_tensors, read_json, save_tensors, sha256, write_json
+
+
+def _write_half(path: Path) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text("half")
+        raise RuntimeError("interrupted")
+
+
+def test_an_error_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "value.txt"
+    path.write_text("old")
+    with pytest.raises(RuntimeError, match="interrupted"):
+        _write_half(path)
+    assert path.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_what_a_kill_left_behind_is_removed(tmp_path: Path) -> None:
+    path = tmp_path / "folder"
+    with atomic_path(path) as temporary:
+        temporary.mkdir()
+        (temporary / "half").touch()
+        leftover = temporary
+    leftover.mkdir()
+    (leftover / "stale").touch()
+    with atomic_path(path) as temporary:
+        temporary.mkdir()
+        (temporary / "whole").touch()
+    assert [file.name for file in path.iterdir()] == ["whole"]
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_temporary_names_keep_the_suffix(tmp_path: Path) -> None:
+    with atomic_path(tmp_path / "new" / "image.png") as temporary:
+        assert temporary.suffix == ".png"
+        temporary.touch()
+    assert (tmp_path / "new" / "image.png").exists()
+
+
+def test_json_is_sorted_and_ends_with_a_newline(tmp_path: Path) -> None:
+    path = tmp_path / "value.json"
+    write_json(path, {"b": 1, "a": [1.5, None]})
+    assert path.read_bytes() == b'{\n  "a": [\n    1.5,\n    null\n  ],\n  "b": 1\n}\n'
+    assert read_json(path) == {"a": [1.5, None], "b": 1}
+
+
+def test_json_refuses_values_that_are_not_numbers(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        write_json(tmp_path / "value.json", {"loss": float("nan")})
+    assert not list(tmp_path.iterdir())
+
+
+def test_tensors_come_back(tmp_path: Path) -> None:
+    shared = torch.arange(6.0).reshape(2, 3)
+    tensors = {"transposed": shared.T, "same": shared, "index": torch.tensor(3), "empty": torch.zeros(0, 3)}
+    save_tensors(tmp_path / "a.safetensors", tensors, {"note": "text"})
+    loaded, texts = load_tensors(tmp_path / "a.safetensors")
+    assert texts == {"note": "text"}
+    assert loaded.keys() == tensors.keys()
+    for name, tensor in tensors.items():
+        assert torch.equal(loaded[name], tensor)
+        assert loaded[name].dtype == tensor.dtype
+
+
+def test_equal_tensors_are_equal_bytes(tmp_path: Path) -> None:
+    tensors = {name: torch.ones(3) for name in "cab"}
+    texts = {f"key {number}": "text" for number in range(8)}
+    save_tensors(tmp_path / "first", tensors, texts)
+    save_tensors(tmp_path / "second", dict(sorted(tensors.items())), dict(reversed(texts.items())))
+    assert sha256(tmp_path / "first") == sha256(tmp_path / "second")
+
+
+def test_the_hash_of_a_directory_depends_on_names_and_contents(tmp_path: Path) -> None:
+    hashes = []
+    for name, content in (("a", "1"), ("b", "1"), ("a", "2")):
+        folder = tmp_path / f"{name}{content}"
+        (folder / "inner").mkdir(parents=True)
+        (folder / "inner" / name).write_text(content)
+        hashes.append(sha256(folder))
+    assert len(set(hashes)) == 3
+    assert sha256(tmp_path / "a1") == hashes[0]
