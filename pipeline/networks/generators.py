@@ -1,0 +1,151 @@
+"""Decoders from a latent vector to a shape, a texture map or a background (paper 3.1.1, 3.1.2 and 3.1.4).
+
+In base-shape learning the latent is noise; in full training it is the output of an encoder.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+
+class ShapeGenerator(nn.Module):
+    """Map a latent vector to an offset of every vertex (paper 3.1.1).
+
+    The last layer starts near zero, so that the first shapes are the initial ellipsoid.
+    """
+
+    def __init__(self, latent_size: int, hidden_size: int, vertex_count: int, offset_scale: float) -> None:
+        super().__init__()
+        self.offset_scale = offset_scale
+        output = nn.Linear(hidden_size, vertex_count * 3)
+        nn.init.normal_(output.weight, std=1e-3)
+        nn.init.zeros_(output.bias)
+        self.layers = nn.Sequential(
+            nn.Linear(latent_size, hidden_size),
+            nn.ReLU(),
+            nn.Linear(hidden_size, hidden_size),
+            nn.ReLU(),
+            output,
+        )
+
+    def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
+        """Return vertex offsets in world units."""
+        return self.offset_scale * self.layers(latent).unflatten(1, (-1, 3))
+
+
+class ResidualUpsample(nn.Module):
+    """Double the resolution of a feature map and refine it with a residual block.
+
+    Columns wrap around when `wrap` is set, because the left and right borders of a texture map meet on the sphere.
+    """
+
+    def __init__(self, in_channels: int, out_channels: int, wrap: bool) -> None:
+        super().__init__()
+        padding_mode = "circular" if wrap else "zeros"
+        self.upsample = nn.Upsample(scale_factor=2.0, mode="nearest")
+        self.shortcut = nn.Conv2d(in_channels, out_channels, 1)
+        self.residual = nn.Sequential(
+            nn.BatchNorm2d(in_channels),
+            nn.ReLU(),
+            self.upsample,
+            nn.Conv2d(in_channels, out_channels, 3, padding=1, padding_mode=padding_mode),
+            nn.BatchNorm2d(out_channels),
+            nn.ReLU(),
+            nn.Conv2d(out_channels, out_channels, 3, padding=1, padding_mode=padding_mode),
+        )
+
+    def forward(self, features: Float[Tensor, "B C H W"]) -> Float[Tensor, "B K 2*H 2*W"]:
+        """Return features at twice the resolution."""
+        return self.upsample(self.shortcut(features)) + self.residual(features)
+
+
+class ImageGenerator(nn.Module):
+    """Map a latent vector to a square image by a DCGAN-like network with residual connections (paper 3.1.2)."""
+
+    def __init__(self, latent_size: int, hidden_channels: int, out_channels: int, size: int, wrap: bool) -> None:
+        super().__init__()
+        blocks = (size // 4).bit_length() - 1
+        widths = [hidden_channels * 2 ** max(blocks - 1 - i, 0) for i in range(blocks + 1)]
+        self.start = nn.Linear(latent_size, widths[0] * 16)
+        self.blocks = nn.Sequential(
+            *(ResidualUpsample(before, after, wrap) for before, after in zip(widths[:-1], widths[1:], strict=True))
+        )
+        self.output = nn.Sequential(
+            nn.BatchNorm2d(widths[-1]), nn.ReLU(), nn.Conv2d(widths[-1], out_channels, 3, padding=1)
+        )
+
+    def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B C T T"]:
+        """Return unnormalised channel values."""
+        return self.output(self.blocks(self.start(latent).unflatten(1, (-1, 4, 4))))
+
+
+class TextureGenerator(nn.Module):
+    """Map a latent vector to an RGB texture map in [0, 1] without a limit on its colours (paper 3.2)."""
+
+    def __init__(self, latent_size: int, hidden_channels: int, size: int, mirror: bool) -> None:
+        super().__init__()
+        self.mirror = mirror
+        self.image = ImageGenerator(latent_size, hidden_channels, 3, size, wrap=True)
+
+    def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B 3 T T"]:
+        """Return texture maps; with `mirror`, left and right of the object look the same."""
+        return torch.sigmoid(_mirrored(self.image(latent), self.mirror))
+
+
+class PaletteTextureGenerator(nn.Module):
+    """Map a latent vector to a texture map mixed from a palette of a few colours (paper 3.1.2).
+
+    A softmax over channels weighs the palette's colours at every texel. The palette comes from a second network.
+    """
+
+    def __init__(self, latent_size: int, hidden_channels: int, size: int, colors: int, mirror: bool) -> None:
+        super().__init__()
+        self.mirror = mirror
+        self.weights = ImageGenerator(latent_size, hidden_channels, colors, size, wrap=True)
+        self.palette = nn.Sequential(
+            nn.Linear(latent_size, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, colors * 3)
+        )
+
+    def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B 3 T T"]:
+        """Return texture maps in [0, 1]."""
+        weights = torch.softmax(_mirrored(self.weights(latent), self.mirror), dim=1)
+        palette = torch.sigmoid(self.palette(latent)).unflatten(1, (-1, 3))
+        return torch.einsum("bchw,bcd->bdhw", weights, palette)
+
+
+class StripesGenerator(nn.Module):
+    """Map a latent vector to a background of horizontal stripes (paper 3.1.4)."""
+
+    def __init__(self, latent_size: int, hidden_size: int, size: int) -> None:
+        super().__init__()
+        self.size = size
+        self.start = nn.Linear(latent_size, hidden_size * 8)
+        self.layers = nn.Sequential(
+            nn.ReLU(),
+            nn.Upsample(size=size // 2, mode="linear"),
+            nn.Conv1d(hidden_size, hidden_size, 3, padding=1, padding_mode="replicate"),
+            nn.ReLU(),
+            nn.Upsample(size=size, mode="linear"),
+            nn.Conv1d(hidden_size, 3, 3, padding=1, padding_mode="replicate"),
+        )
+
+    def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B 3 H W"]:
+        """Return images in [0, 1] that are constant along every row."""
+        rows = torch.sigmoid(self.layers(self.start(latent).unflatten(1, (-1, 8))))
+        return rows[..., None].expand(-1, -1, -1, self.size)
+
+
+class ImageBackgroundGenerator(nn.Module):
+    """Map a latent vector to an unconstrained background (the ablation of paper Fig. 5e)."""
+
+    def __init__(self, latent_size: int, hidden_channels: int, size: int) -> None:
+        super().__init__()
+        self.image = ImageGenerator(latent_size, hidden_channels, 3, size, wrap=False)
+
+    def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B 3 H W"]:
+        """Return images in [0, 1]."""
+        return torch.sigmoid(self.image(latent))
+
+
+def _mirrored(maps: Float[Tensor, "B C T T"], mirror: bool) -> Float[Tensor, "B C T T"]:
+    return (maps + maps.flip(-1)) / 2 if mirror else maps

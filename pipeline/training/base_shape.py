@@ -1,0 +1,230 @@
+"""Learning a category's base shape by matching distributions of renderings and photographs (paper 3.1)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int, UInt8
+from torch import Tensor
+from tqdm import tqdm
+
+from pipeline.geometry.icosphere import icosphere
+from pipeline.geometry.normalize import fit_unit_cube
+from pipeline.geometry.symmetry import mirror_index
+from pipeline.geometry.topology import Topology, topology_of
+from pipeline.losses.chamfer import chamfer
+from pipeline.losses.feature_matching import feature_matching
+from pipeline.losses.smoothness import SmoothnessConfig, smoothness
+from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, Scene, SceneGenerator
+from pipeline.networks.wide_resnet import FeatureExtractor, extract
+from pipeline.rendering.renderer import Mesh, RendererConfig, render
+from pipeline.seeding import generator, initialised
+from pipeline.training.checkpoint import Checkpoint, pack, require_finite, unpack
+from pipeline.training.curves import Curve
+from pipeline.training.viewpoints import LightConfig, ViewpointConfig, sample_lights, sample_viewpoints
+
+
+@dataclass(frozen=True)
+class BaseShapeConfig:
+    """Settings of base-shape learning.
+
+    Attributes:
+        seeds: how many base shapes are learned; a label-free score picks one.
+        reconstruction_balance: lambda_rec, the share of the Chamfer distance against feature matching.
+        colors: size of the texture palette, N_c.
+        initial_dimensions: width, height and depth of the initial ellipsoid (paper Table 2).
+        subdivisions: of the icosphere; 3 gives 642 vertices.
+        score_batches: batches of photographs and renderings that the score is averaged over.
+        checkpoint_every: iterations between restart states.
+    """
+
+    iterations: int
+    batch_size: int
+    seeds: int
+    learning_rate: float
+    betas: tuple[float, float]
+    reconstruction_balance: float
+    colors: int
+    initial_dimensions: tuple[float, float, float]
+    subdivisions: int
+    generator: GeneratorConfig
+    constraints: ConstraintConfig
+    viewpoint: ViewpointConfig
+    light: LightConfig
+    renderer: RendererConfig
+    smoothness: SmoothnessConfig
+    score_batches: int
+    checkpoint_every: int
+
+
+class Sphere(NamedTuple):
+    """The icosphere that base shapes deform.
+
+    Attributes:
+        directions: unit vectors, the texture domain.
+        faces: counter-clockwise from outside.
+        mirror: index of each vertex's mirror image about x = 0.
+        topology: neighbourhoods for the smoothness terms.
+    """
+
+    directions: Float[Tensor, "V 3"]
+    faces: Int[Tensor, "F 3"]
+    mirror: Int[Tensor, " V"]
+    topology: Topology
+
+
+class BaseShapes(NamedTuple):
+    """The result of all seeds.
+
+    Attributes:
+        vertices: one shape a seed, in the unit cube.
+        scores: label-free score of each seed; lower is better.
+        best: index of the seed with the lowest score.
+        generator: weights of the best seed's generators.
+        curve: losses of all seeds.
+    """
+
+    sphere: Sphere
+    vertices: Float[Tensor, "K V 3"]
+    scores: Float[Tensor, " K"]
+    best: int
+    generator: dict[str, Tensor]
+    curve: Curve
+
+
+class Photographs(NamedTuple):
+    """Features of the category's photographs, computed once (one entry a layer)."""
+
+    features: list[Float[Tensor, "N C H W"]]
+
+    def batch(self, index: Int[Tensor, " B"]) -> list[Float[Tensor, "B C H W"]]:
+        """Return the float32 features of some photographs."""
+        return [layer[index].float() for layer in self.features]
+
+
+class SeedTrainer:
+    """Train one seed's generators."""
+
+    def __init__(
+        self,
+        config: BaseShapeConfig,
+        sphere: Sphere,
+        photographs: Photographs,
+        extractor: FeatureExtractor,
+        seed: int,
+        index: int,
+    ) -> None:
+        device = sphere.directions.device
+        self.config, self.sphere, self.photographs, self.extractor = config, sphere, photographs, extractor
+        self.index = index
+        dimensions = torch.tensor(config.initial_dimensions, device=device)
+        with initialised(seed, "base_shape", index):
+            self.scene = SceneGenerator(
+                config.generator,
+                config.constraints,
+                config.colors,
+                config.renderer.size,
+                fit_unit_cube((sphere.directions * dimensions)[None])[0],
+                sphere.mirror,
+            ).to(device)
+        self.optimizer = torch.optim.Adam(self.scene.parameters(), lr=config.learning_rate, betas=config.betas)
+        self.rng = generator(seed, "base_shape", index, device=device)
+
+    def generate(self, count: int) -> tuple[Scene, Float[Tensor, "B 3 H W"]]:
+        """Draw scenes, viewpoints and lights and render them (paper 3.1.5)."""
+        scene = self.scene(self.scene.sample_noise(count, self.rng))
+        pose = sample_viewpoints(self.config.viewpoint, count, self.rng)
+        light = sample_lights(self.config.light, count, self.rng)
+        mesh = Mesh(scene.vertices, self.sphere.faces, self.sphere.directions)
+        rendering = render(mesh, scene.texture_maps, pose, scene.backgrounds, light, self.config.renderer)
+        return scene, rendering.images
+
+    def reconstruction_loss(self, images: Float[Tensor, "B 3 H W"]) -> dict[str, Tensor]:
+        """Compare renderings with as many random photographs (paper eqs. 1 to 3)."""
+        total = len(self.photographs.features[0])
+        index = torch.randint(total, (len(images),), generator=self.rng, device=self.rng.device)
+        real, generated = self.photographs.batch(index), self.extractor(images)
+        balance = self.config.reconstruction_balance
+        losses = {"chamfer": chamfer(real, generated), "feature_matching": feature_matching(real, generated)}
+        losses["reconstruction"] = balance * losses["chamfer"] + (1 - balance) * losses["feature_matching"]
+        return losses
+
+    def step(self, iteration: int) -> dict[str, float]:
+        """Take one optimisation step and return its losses."""
+        self.scene.train()
+        scene, images = self.generate(self.config.batch_size)
+        losses = self.reconstruction_loss(images)
+        total = losses["reconstruction"]
+        if self.config.constraints.smoothness:
+            losses["smoothness"] = smoothness(scene.vertices, self.sphere.topology, self.config.smoothness).mean()
+            total = total + losses["smoothness"]
+        require_finite(total, iteration)
+        self.optimizer.zero_grad(set_to_none=True)
+        total.backward()
+        self.optimizer.step()
+        return {name: loss.item() for name, loss in losses.items()}
+
+    @torch.no_grad()
+    def shape(self) -> Float[Tensor, "V 3"]:
+        """Return the mean of the generated shapes, which collapse to one (paper 3.1.7)."""
+        noise = self.scene.sample_noise(self.config.batch_size, self.rng)
+        return fit_unit_cube(self.scene.vertices(noise).mean(0, keepdim=True))[0]
+
+    @torch.no_grad()
+    def score(self) -> float:
+        """Return the mean reconstruction loss over fresh batches: a label-free measure of a base shape."""
+        losses = [
+            self.reconstruction_loss(self.generate(self.config.batch_size)[1])["reconstruction"]
+            for _ in range(self.config.score_batches)
+        ]
+        return torch.stack(losses).mean().item()
+
+
+def build_sphere(subdivisions: int, device: torch.device) -> Sphere:
+    """Build the icosphere with everything that depends on its connectivity alone."""
+    directions, faces = icosphere(subdivisions)
+    directions, faces = directions.to(device), faces.to(device)
+    return Sphere(directions, faces, mirror_index(directions), topology_of(faces))
+
+
+def learn_base_shape(
+    config: BaseShapeConfig,
+    images: UInt8[Tensor, "N 3 H W"],
+    extractor: FeatureExtractor,
+    seed: int,
+    checkpoints: Path,
+    key: str,
+) -> BaseShapes:
+    """Learn one base shape a seed and pick the one whose renderings are closest to the photographs.
+
+    Restart states live under `checkpoints`; a killed call that is repeated returns the same bytes.
+    """
+    sphere = build_sphere(config.subdivisions, next(extractor.parameters()).device)
+    photographs = Photographs([layer.half() for layer in extract(extractor, images, config.batch_size)])
+    curve, shapes, scores, weights = Curve(), [], [], []
+    for index in range(config.seeds):
+        trainer = SeedTrainer(config, sphere, photographs, extractor, seed, index)
+        _train(trainer, curve, Checkpoint(checkpoints / str(index), key))
+        shapes.append(trainer.shape())
+        scores.append(trainer.score())
+        weights.append({name: value.clone() for name, value in trainer.scene.state_dict().items()})
+    best = min(range(config.seeds), key=scores.__getitem__)
+    return BaseShapes(sphere, torch.stack(shapes), torch.tensor(scores), best, weights[best], curve)
+
+
+def _train(trainer: SeedTrainer, curve: Curve, checkpoint: Checkpoint) -> None:
+    config = trainer.config
+    parts = {"scene": trainer.scene, "optimizer": trainer.optimizer, "rng": trainer.rng}
+    own, first = Curve(), 0
+    if (restored := checkpoint.load()) is not None:
+        tensors, values = restored
+        unpack(tensors, **parts)
+        own, first = Curve(values["rows"]), values["iteration"]
+    for iteration in tqdm(
+        range(first, config.iterations), f"seed {trainer.index}", initial=first, total=config.iterations, disable=None
+    ):
+        own.append(iteration, seed=trainer.index, **trainer.step(iteration))
+        if (iteration + 1) % config.checkpoint_every == 0 or iteration + 1 == config.iterations:
+            checkpoint.save(pack(**parts), {"iteration": iteration + 1, "rows": own.rows})
+    curve.rows.extend(own.rows)

@@ -1,0 +1,75 @@
+"""Random viewpoints and lights of base-shape learning (paper 3.1.3, 3.1.5 and Table 3)."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from pipeline.geometry.camera import Pose
+from pipeline.rendering.lighting import Light
+
+_QUANTILES = 1025
+
+
+@dataclass(frozen=True)
+class AngleConfig:
+    """A symmetric Beta distribution stretched over an interval of degrees.
+
+    Attributes:
+        low: smallest angle in degrees.
+        high: largest angle in degrees.
+        concentration: both parameters of the Beta distribution; 1 is the uniform distribution.
+    """
+
+    low: float
+    high: float
+    concentration: float
+
+
+@dataclass(frozen=True)
+class ViewpointConfig:
+    """The fixed distribution of viewpoints of a category (paper Table 3)."""
+
+    azimuth: AngleConfig
+    elevation: AngleConfig
+
+
+@dataclass(frozen=True)
+class LightConfig:
+    """Ambient and directional light; a surface facing the light has the brightness of their sum."""
+
+    ambient: float
+    directional: float
+
+
+def sample_angles(config: AngleConfig, count: int, rng: torch.Generator) -> Float[Tensor, " B"]:
+    """Draw angles in radians by inverting the tabulated cumulative distribution."""
+    grid = torch.linspace(0, 1, _QUANTILES, device=rng.device)
+    middle = (grid[1:] + grid[:-1]) / 2
+    density = (middle * (1 - middle)) ** (config.concentration - 1)
+    cumulative = torch.cat([density.new_zeros(1), density.cumsum(0)]) / density.sum()
+    uniform = torch.rand(count, generator=rng, device=rng.device)
+    upper = torch.searchsorted(cumulative, uniform).clamp(1, _QUANTILES - 1)
+    low, high = cumulative[upper - 1], cumulative[upper]
+    fraction = (uniform - low) / (high - low).clamp_min(1e-12)
+    unit = grid[upper - 1] + fraction * (grid[upper] - grid[upper - 1])
+    return torch.deg2rad(config.low + unit * (config.high - config.low))
+
+
+def sample_viewpoints(config: ViewpointConfig, count: int, rng: torch.Generator) -> Pose:
+    """Draw poses without roll, at the picture's centre and at scale 1 (paper 3.1.3)."""
+    azimuth = sample_angles(config.azimuth, count, rng)
+    elevation = sample_angles(config.elevation, count, rng)
+    zeros = torch.zeros_like(azimuth)
+    return Pose(azimuth, elevation, zeros, torch.stack([zeros, zeros], 1), torch.ones_like(azimuth))
+
+
+def sample_lights(config: LightConfig, count: int, rng: torch.Generator) -> Light:
+    """Draw directions towards the light uniformly on the upper half of the world's unit sphere."""
+    height, turn = torch.rand(2, count, generator=rng, device=rng.device).unbind(0)
+    radius = (1 - height**2).sqrt()
+    turn = turn * 2 * math.pi
+    direction = torch.stack([radius * turn.cos(), height, radius * turn.sin()], 1)
+    return Light(direction, torch.full_like(height, config.ambient), torch.full_like(height, config.directional))

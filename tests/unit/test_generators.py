@@ -1,0 +1,78 @@
+"""Shape, texture and background generators and their constraints."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from pipeline.geometry.icosphere import icosphere
+from pipeline.geometry.symmetry import mirror_index, reflect
+from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, SceneGenerator
+from pipeline.seeding import generator, initialised
+
+CONFIG = GeneratorConfig(
+    latent_size=16,
+    shape_hidden=32,
+    offset_scale=30.0,
+    texture_channels=4,
+    texture_size=16,
+    background_hidden=8,
+    mirror_texture=True,
+)
+ALL = ConstraintConfig(smoothness=True, symmetry=True, texture_simplicity=True, background_simplicity=True)
+
+
+def build(config: GeneratorConfig = CONFIG, constraints: ConstraintConfig = ALL) -> SceneGenerator:
+    vertices, _ = icosphere(1)
+    with initialised(0):
+        return SceneGenerator(config, constraints, 2, 8, vertices, mirror_index(vertices))
+
+
+def scene(model: SceneGenerator):
+    return model(model.sample_noise(6, generator(1)))
+
+
+def test_shapes_are_mirror_symmetric_and_fill_the_unit_cube() -> None:
+    model = build()
+    vertices = scene(model).vertices
+    assert torch.equal(reflect(vertices)[:, model.mirror_index], vertices)
+    extent = vertices.amax(1) - vertices.amin(1)
+    assert extent.amax(1).allclose(torch.ones(6))
+
+
+def test_without_symmetry_shapes_are_free() -> None:
+    model = build(constraints=replace(ALL, symmetry=False))
+    vertices = scene(model).vertices
+    assert not torch.allclose(reflect(vertices)[:, model.mirror_index], vertices, atol=1e-3)
+
+
+def test_a_palette_of_one_colour_makes_a_plain_texture() -> None:
+    model = build()
+    with initialised(0):
+        plain = SceneGenerator(CONFIG, ALL, 1, 8, model.initial_vertices, model.mirror_index)
+    textures = scene(plain).texture_maps
+    assert textures.flatten(2).std(dim=2).max() < 1e-6
+    assert textures.flatten(2).mean(2).std(dim=0).max() > 1e-3
+
+
+def test_texture_maps_stay_in_range_and_mirror() -> None:
+    textures = scene(build()).texture_maps
+    assert textures.shape == (6, 3, 16, 16)
+    assert 0 <= textures.min() and textures.max() <= 1
+    assert torch.equal(textures, textures.flip(-1))
+
+
+@pytest.mark.parametrize("simple", [True, False])
+def test_backgrounds_are_stripes_only_under_the_constraint(simple: bool) -> None:
+    backgrounds = scene(build(constraints=replace(ALL, background_simplicity=simple))).backgrounds
+    assert backgrounds.shape == (6, 3, 8, 8)
+    assert (backgrounds.std(dim=3).max() < 1e-6) == simple
+
+
+def test_every_generator_receives_gradients() -> None:
+    model = build()
+    generated = scene(model)
+    weights = torch.linspace(-1, 1, generated.vertices.numel()).view_as(generated.vertices)
+    loss = (generated.vertices * weights).sum() + generated.texture_maps[:, :, 3].sum() + generated.backgrounds.sum()
+    loss.backward()
+    assert all(parameter.grad is not None and parameter.grad.isfinite().all() for parameter in model.parameters())

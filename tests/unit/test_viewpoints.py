@@ -1,0 +1,46 @@
+"""The fixed distributions of viewpoints and lights."""
+
+import math
+
+import pytest
+import torch
+
+from pipeline.seeding import generator
+from pipeline.training.viewpoints import (
+    AngleConfig,
+    LightConfig,
+    ViewpointConfig,
+    sample_angles,
+    sample_lights,
+    sample_viewpoints,
+)
+
+COUNT = 20000
+
+
+@pytest.mark.parametrize("concentration", [1.0, 1.5, 4.0])
+def test_angles_have_the_moments_of_a_stretched_beta_distribution(concentration: float) -> None:
+    angles = sample_angles(AngleConfig(-30.0, 90.0, concentration), COUNT, generator(0))
+    degrees = torch.rad2deg(angles)
+    variance = 120.0**2 / (4 * (2 * concentration + 1))
+    assert degrees.min() >= -30.0 and degrees.max() <= 90.0
+    assert degrees.mean().item() == pytest.approx(30.0, abs=4 * math.sqrt(variance / COUNT))
+    assert degrees.var().item() == pytest.approx(variance, rel=0.03)
+
+
+def test_viewpoints_look_at_the_centre_without_roll() -> None:
+    config = ViewpointConfig(AngleConfig(0.0, 360.0, 1.0), AngleConfig(0.0, 30.0, 1.0))
+    pose = sample_viewpoints(config, 8, generator(1))
+    assert pose.azimuth.max() > math.pi
+    assert pose.elevation.max() <= math.radians(30.0)
+    assert not pose.roll.any() and not pose.center.any()
+    assert torch.equal(pose.scale, torch.ones(8))
+
+
+def test_light_comes_uniformly_from_above() -> None:
+    light = sample_lights(LightConfig(0.4, 0.6), COUNT, generator(2))
+    assert light.direction.norm(dim=1).allclose(torch.ones(COUNT))
+    assert light.direction[:, 1].min() >= 0
+    assert light.direction.mean(0).tolist() == pytest.approx([0.0, 0.5, 0.0], abs=0.02)
+    assert light.ambient.unique().item() == pytest.approx(0.4)
+    assert light.directional.unique().item() == pytest.approx(0.6)
