@@ -5,11 +5,12 @@ from pathlib import Path
 import torch
 
 from pipeline.config import load
-from pipeline.evaluation.artifacts import load_images, load_reconstructions, load_truth, select
+from pipeline.evaluation.artifacts import load_photographs, load_reconstructions, load_true_split, select
 from pipeline.evaluation.evaluate import EvaluateConfig, Learned, evaluate_images, evaluate_truth
 from pipeline.evaluation.tables import write_table
 from pipeline.files import load_tensors, write_json
 from pipeline.geometry.camera import pose_from_tensor
+from pipeline.networks.full_model import load_full_model
 from pipeline.networks.wide_resnet import load_feature_extractor
 from stages.command_line import parse, run
 
@@ -26,17 +27,16 @@ def main() -> None:
         mesh=Path,
         model=Path,
         reconstructions=Path,
-        seed=int,
         out=Path,
         table=Path,
     )
     config = load(arguments.params, EvaluateConfig, arguments.sections)
     reconstructions = load_reconstructions(arguments.reconstructions)
-    photographs = load_images(arguments.test_images, reconstructions.test_index)
+    photographs = load_photographs(arguments.test_images, reconstructions.test_index)
     extractor = load_feature_extractor(arguments.features, torch.device("cpu"))
     figures, table = evaluate_images(photographs, reconstructions, extractor, config)
-    test = load_truth(arguments.truth, "test", arguments.category)
-    training = load_truth(arguments.truth, "train", arguments.category)
+    test = load_true_split(arguments.truth, "test", arguments.category)
+    training = load_true_split(arguments.truth, "train", arguments.category)
     if test is not None and training is not None:
         model, _ = load_tensors(arguments.model)
         mesh, _ = load_tensors(arguments.mesh)
@@ -48,9 +48,10 @@ def main() -> None:
             mesh["faces"],
             base_shape["seed_vertices"],
             base_shape["faces"],
+            load_full_model(arguments.model, torch.device("cpu")).config.renderer,
         )
         test = select(test, reconstructions.test_index)
-        more_figures, more_columns = evaluate_truth(learned, training, test, config, arguments.seed)
+        more_figures, more_columns = evaluate_truth(learned, training, test, config)
         figures, table = figures | more_figures, table | more_columns
     write_json(arguments.out, figures)
     write_table(arguments.table, table)

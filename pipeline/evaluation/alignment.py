@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pipeline.evaluation.pose import ACCURATE, geodesic_distance, pose_error, rotation
+from pipeline.evaluation.pose import ACCURATE, geodesic_distance, pairwise_distance, pose_error, rotation
 from pipeline.geometry.camera import Pose, rotation_from_angles
 
 CANDIDATES = 360
@@ -52,8 +52,7 @@ def fit_constant(truth: Pose) -> Float[Tensor, "3 3"]:
     heights = torch.arange(-90, 91, CONSTANT_STEP, dtype=torch.float64).deg2rad()
     azimuth, elevation = (grid.flatten() for grid in torch.meshgrid(steps, heights, indexing="ij"))
     candidates = rotation_from_angles(azimuth, elevation, truth.roll.double().median().expand_as(azimuth))
-    true_rotations = rotation(truth)
-    errors = torch.stack([geodesic_distance(true_rotations, one.expand_as(true_rotations)) for one in candidates])
+    errors = pairwise_distance(candidates, rotation(truth))
     hits = (errors <= ACCURATE).sum(1)
     return candidates[errors.mean(1).masked_fill(hits < hits.max(), math.inf).argmin()]
 

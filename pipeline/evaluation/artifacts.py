@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from pipeline.datasets.images import load_images
 from pipeline.files import load_tensors, read_json
 from pipeline.geometry.camera import Pose, pose_from_tensor
 
@@ -68,25 +69,23 @@ def load_reconstructions(path: Path) -> Reconstructions:
             tensors[f"images_{stage}"].float() / 255,
         )
 
-    return Reconstructions(
-        *map(at, STAGES), tensors["textures"], tensors["faces"], tensors["directions"], tensors["test_index"]
-    )
+    shared = (tensors[name] for name in ("textures", "faces", "directions", "test_index"))
+    return Reconstructions(at("predicted"), at("tuned"), *shared)
 
 
-def load_images(path: Path, index: Int[Tensor, " B"]) -> Float[Tensor, "B 3 H W"]:
+def load_photographs(path: Path, index: Int[Tensor, " B"]) -> Float[Tensor, "B 3 H W"]:
     """Read the chosen photographs of a prepared category, in [0, 1]."""
-    stored = numpy.load(path, mmap_mode="r")[index.numpy()]
-    return torch.from_numpy(stored).permute(0, 3, 1, 2).float() / 255
+    return load_images(path)[index].float() / 255
 
 
-def load_truth(folder: Path, split: str, category: str) -> Truth | None:
-    """Read the ground truth of one split, or return None where the dataset has none for the category."""
-    if category not in read_json(folder / "index.json"):
+def load_true_split(folder: Path, split: str, category: str) -> Truth | None:
+    """Read the ground truth of one split of a category, or return None where the dataset has none for it."""
+    if f"{split}/{category}" not in read_json(folder / "index.json"):
         return None
-    with numpy.load(folder / split / f"{category}.npz") as stored:
-        arrays = {name: torch.from_numpy(stored[name]) for name in stored.files}
-    pose = Pose(*(arrays[name] for name in Pose._fields))
-    return Truth(pose, arrays["masks"].bool(), arrays["vertices"], arrays["faces"].long())
+    with numpy.load(folder / split / f"{category}.npz", allow_pickle=False) as stored:
+        tensors = {name: torch.from_numpy(stored[name]) for name in stored.files}
+    pose = Pose(*(tensors[name] for name in Pose._fields))
+    return Truth(pose, tensors["masks"].bool(), tensors["vertices"], tensors["faces"].long())
 
 
 def select(truth: Truth, index: Int[Tensor, " B"]) -> Truth:

@@ -29,13 +29,13 @@ class EvaluateConfig:
     """How a run is measured.
 
     Attributes:
-        renderer: the camera and picture size of the fine-tuned reconstructions, for their masks.
+        seed: of random guesses, bootstrapped medians and points drawn from surfaces.
         shape: how finely shapes are compared.
         chance_draws: random guesses a picture for the chance rows.
         batch_size: pictures in one pass through the feature extractor.
     """
 
-    renderer: RendererConfig
+    seed: int
     shape: ShapeConfig
     chance_draws: int
     batch_size: int
@@ -48,6 +48,7 @@ class Learned(NamedTuple):
         training_pose: recorded best pose of each training picture, in the order of the training split.
         base: base shape after remeshing, with its faces.
         seeds: base shapes of all seeds, with theirs.
+        renderer: camera and size of the reconstructions, for their masks.
     """
 
     reconstructions: Reconstructions
@@ -56,6 +57,7 @@ class Learned(NamedTuple):
     base_faces: Int[Tensor, "F 3"]
     seeds: Float[Tensor, "S W 3"]
     seed_faces: Int[Tensor, "G 3"]
+    renderer: RendererConfig
 
 
 Columns = dict[str, Tensor]
@@ -77,24 +79,24 @@ def evaluate_images(
 
 
 def evaluate_truth(
-    learned: Learned, training: Truth, test: Truth, config: EvaluateConfig, seed: int
+    learned: Learned, training: Truth, test: Truth, config: EvaluateConfig
 ) -> tuple[dict[str, Any], Columns]:
     """Measure viewpoints and shapes against the truth of the same pictures; return the figures and one row a picture.
 
     The learned frame is first turned about +y by the angle that suits the training split's recorded poses best.
     """
     angle = fit_alignment(training.pose, learned.training_pose)
-    pose, pose_table = _evaluate_pose(learned, training, test, angle, config, seed)
-    shape, shape_table = _evaluate_shape(learned, training, test, angle, config, seed)
+    pose, pose_table = _evaluate_pose(learned, training, test, angle, config)
+    shape, shape_table = _evaluate_shape(learned, training, test, angle, config)
     alignment = {"degrees": math.degrees(angle), "n": len(training.masks)}
     truth = {"truth_azimuth": torch.rad2deg(test.pose.azimuth), "truth_elevation": torch.rad2deg(test.pose.elevation)}
     return {"alignment": alignment, "pose": pose, "shape": shape}, {**truth, **pose_table, **shape_table}
 
 
 def _evaluate_pose(
-    learned: Learned, training: Truth, test: Truth, angle: float, config: EvaluateConfig, seed: int
+    learned: Learned, training: Truth, test: Truth, angle: float, config: EvaluateConfig
 ) -> tuple[dict[str, Any], Columns]:
-    rng = generator(seed, "evaluate pose")
+    rng = generator(config.seed, "evaluate pose")
     figures: dict[str, Any] = baseline_figures(test.pose, training.pose, config.chance_draws, rng)
     figures["train"] = pose_figures(training.pose, turn_pose(learned.training_pose, angle), rng)
     columns = {}
@@ -106,9 +108,9 @@ def _evaluate_pose(
 
 
 def _evaluate_shape(
-    learned: Learned, training: Truth, test: Truth, angle: float, config: EvaluateConfig, seed: int
+    learned: Learned, training: Truth, test: Truth, angle: float, config: EvaluateConfig
 ) -> tuple[dict[str, Any], Columns]:
-    rng = generator(seed, "evaluate shape")
+    rng = generator(config.seed, "evaluate shape")
     shapes = TrueShapes(test, training, config.shape, rng)
     columns = {}
     for stage in STAGES:
@@ -116,7 +118,7 @@ def _evaluate_shape(
         vertices = turn_vertices(reconstruction.vertices, angle)
         columns[stage] = shapes.columns(vertices, learned.reconstructions.faces, rng)
         masks = silhouettes(
-            reconstruction, learned.reconstructions.faces, learned.reconstructions.directions, config.renderer
+            reconstruction, learned.reconstructions.faces, learned.reconstructions.directions, learned.renderer
         )
         columns[stage]["mask_iou"] = iou(masks, test.masks)
     figures: dict[str, Any] = {

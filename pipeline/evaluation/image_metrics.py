@@ -1,11 +1,13 @@
 """The reconstruction section of a run's metrics: pictures before and after fine-tuning against the photographs."""
 
+from typing import Any
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from pipeline.evaluation.image import psnr, ssim
-from pipeline.evaluation.statistics import Figure, mean_figure
+from pipeline.evaluation.statistics import mean_figure
 from pipeline.losses.image_distance import feature_distance
 from pipeline.networks.wide_resnet import FeatureExtractor
 
@@ -31,7 +33,7 @@ def image_columns(
     }
 
 
-def image_figures(predicted: Columns, tuned: Columns) -> dict[str, Figure | dict[str, Figure]]:
+def image_figures(predicted: Columns, tuned: Columns) -> dict[str, Any]:
     """Summarize both moments, and the fraction of pictures whose feature distance fine-tuning lowered."""
     return {
         "predicted": {name: mean_figure(values) for name, values in predicted.items()},

@@ -1,6 +1,7 @@
 """The pose section of a run's metrics, with what chance and a constant answer reach beside it (design: Evaluate)."""
 
 import math
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -8,11 +9,11 @@ from torch import Tensor
 
 from pipeline.evaluation.alignment import chance_errors, fit_constant
 from pipeline.evaluation.pose import ACCURATE, MODES, error_mode, geodesic_distance, pose_error, rotation, seen_side
-from pipeline.evaluation.statistics import Figure, mean_figure, median_figure
+from pipeline.evaluation.statistics import mean_figure, median_figure
 from pipeline.geometry.camera import Pose
 
 Columns = dict[str, Tensor]
-PoseFigures = dict[str, float | int | Figure]
+Figures = dict[str, Any]
 
 
 def pose_columns(truth: Pose, estimate: Pose) -> Columns:
@@ -26,7 +27,7 @@ def pose_columns(truth: Pose, estimate: Pose) -> Columns:
     }
 
 
-def pose_figures(truth: Pose, estimate: Pose, generator: torch.Generator) -> PoseFigures:
+def pose_figures(truth: Pose, estimate: Pose, generator: torch.Generator) -> Figures:
     """Summarize aligned estimates: accuracy, median error, the modes of failure, and the side seen.
 
     `seen_side` is the fraction of pictures whose nearest side (front, right, back, left) is right; `front_or_side` asks
@@ -42,7 +43,7 @@ def pose_figures(truth: Pose, estimate: Pose, generator: torch.Generator) -> Pos
     return figures
 
 
-def error_figures(errors: Float[Tensor, " B"], generator: torch.Generator) -> PoseFigures:
+def error_figures(errors: Float[Tensor, " B"], generator: torch.Generator) -> Figures:
     """Summarize geodesic errors in radians: fraction within 30 degrees (n, standard error beside it), and median."""
     accuracy = mean_figure(errors <= ACCURATE)
     median = median_figure(torch.rad2deg(errors), generator)
@@ -54,7 +55,7 @@ def error_figures(errors: Float[Tensor, " B"], generator: torch.Generator) -> Po
     }
 
 
-def baseline_figures(truth: Pose, training: Pose, draws: int, generator: torch.Generator) -> dict[str, PoseFigures]:
+def baseline_figures(truth: Pose, training: Pose, draws: int, generator: torch.Generator) -> dict[str, Figures]:
     """Measure what needs no picture: `chance` guesses azimuth, `constant` always gives the training split's best pose.
 
     For chance, n counts pictures and the standard error is that of the pictures' hit rates over all their draws.

@@ -3,6 +3,9 @@
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.nn import functional
+
+SPARE = 4
 
 
 def iou(first: Bool[Tensor, "B *grid"], second: Bool[Tensor, "B *grid"]) -> Float[Tensor, " B"]:
@@ -14,17 +17,39 @@ def iou(first: Bool[Tensor, "B *grid"], second: Bool[Tensor, "B *grid"]) -> Floa
 
 def sample_surface(
     vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], count: int, generator: torch.Generator
-) -> Float[Tensor, "B count 3"]:
-    """Draw points uniformly by area from each surface."""
+) -> tuple[Float[Tensor, "B count 3"], Float[Tensor, "B count 3"]]:
+    """Draw points uniformly by area from each surface; return them and their outward unit normals."""
     corners = vertices[:, faces]
     edges = corners[:, :, 1:] - corners[:, :, :1]
-    areas = torch.linalg.cross(edges[:, :, 0], edges[:, :, 1]).norm(dim=-1)
-    chosen = torch.multinomial(areas, count, replacement=True, generator=generator)
+    crosses = torch.linalg.cross(edges[:, :, 0], edges[:, :, 1])
+    chosen = torch.multinomial(crosses.norm(dim=-1), count, replacement=True, generator=generator)
     weights = torch.rand(len(vertices), count, 2, generator=generator, dtype=vertices.dtype)
-    outside = weights.sum(-1, keepdim=True) > 1
-    weights = torch.where(outside, 1 - weights, weights)
+    weights = torch.where(weights.sum(-1, keepdim=True) > 1, 1 - weights, weights)
     batch = torch.arange(len(vertices))[:, None]
-    return corners[batch, chosen, 0] + (edges[batch, chosen] * weights[..., None]).sum(2)
+    points = corners[batch, chosen, 0] + (edges[batch, chosen] * weights[..., None]).sum(2)
+    return points, functional.normalize(crosses[batch, chosen], dim=-1)
+
+
+def sample_outer_surface(
+    vertices: Float[Tensor, "B V 3"],
+    faces: Int[Tensor, "F 3"],
+    voxels: Bool[Tensor, "B K K K"],
+    count: int,
+    generator: torch.Generator,
+) -> Float[Tensor, "B count 3"]:
+    """Draw points by area from the surface that can be touched from outside, for shapes made of overlapping parts.
+
+    A point is hidden if one voxel's width along its normal the shape goes on. `SPARE` times as many points are drawn as
+    kept; should fewer be exposed, hidden ones fill up.
+    """
+    points, normals = sample_surface(vertices, faces, SPARE * count, generator)
+    resolution = voxels.shape[-1]
+    outside = ((points + normals / resolution + 0.5) * resolution).floor().long()
+    inside_grid = ((outside >= 0) & (outside < resolution)).all(-1)
+    x, y, z = outside.clamp(0, resolution - 1).unbind(-1)
+    hidden = voxels[torch.arange(len(points))[:, None], x, y, z] & inside_grid
+    order = hidden.long().argsort(dim=1, stable=True)[:, :count]
+    return points.gather(1, order[..., None].expand(-1, -1, 3))
 
 
 def chamfer_l1(first: Float[Tensor, "B K 3"], second: Float[Tensor, "B L 3"]) -> Float[Tensor, " B"]:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -9,7 +10,7 @@ from torch import Tensor
 
 from pipeline.evaluation.alignment import turn_vertices
 from pipeline.evaluation.artifacts import Reconstruction, Truth
-from pipeline.evaluation.shape import chamfer_l1, iou, sample_surface
+from pipeline.evaluation.shape import chamfer_l1, iou, sample_outer_surface
 from pipeline.evaluation.statistics import Figure, mean_figure
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.voxels import voxelize
@@ -40,7 +41,7 @@ class TrueShapes:
         self._config = config
         self.faces = truth.faces
         self.voxels = voxelize(truth.vertices, truth.faces, config.voxel_resolution)
-        self.points = sample_surface(truth.vertices, truth.faces, config.surface_points, generator)
+        self.points = sample_outer_surface(truth.vertices, truth.faces, self.voxels, config.surface_points, generator)
         occupied = voxelize(training.vertices, training.faces, config.voxel_resolution)
         self.mean_shape: Bool[Tensor, "K K K"] = occupied.double().mean(0) >= 0.5
 
@@ -52,19 +53,20 @@ class TrueShapes:
         Shapes are scaled into the unit cube again, because turning them may have changed their bounding box.
         """
         fitted = fit_unit_cube(vertices)
-        points = sample_surface(fitted, faces, self._config.surface_points, generator)
+        voxels = voxelize(fitted, faces, self._config.voxel_resolution)
+        points = sample_outer_surface(fitted, faces, voxels, self._config.surface_points, generator)
         return {
-            "voxel_iou": iou(voxelize(fitted, faces, self._config.voxel_resolution), self.voxels),
+            "voxel_iou": iou(voxels, self.voxels),
             "chamfer_l1": _chamfer_in_parts(points, self.points),
         }
 
     def base_figures(
         self, base: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], generator: torch.Generator
-    ) -> dict[str, Figure | float]:
+    ) -> dict[str, Any]:
         """Compare the one base shape, already aligned, with every test picture's shape and with the mean shape."""
         fitted = fit_unit_cube(base[None])
         voxels = voxelize(fitted, faces, self._config.voxel_resolution)
-        points = sample_surface(fitted, faces, self._config.surface_points, generator)
+        points = sample_outer_surface(fitted, faces, voxels, self._config.surface_points, generator)
         return {
             "voxel_iou": mean_figure(iou(voxels.expand_as(self.voxels), self.voxels)),
             "chamfer_l1": mean_figure(_chamfer_in_parts(points.expand_as(self.points), self.points)),

@@ -8,6 +8,7 @@ from pipeline.evaluation.pose import (
     MODES,
     error_mode,
     geodesic_distance,
+    pairwise_distance,
     pose_error,
     rotation,
     seen_side,
@@ -53,6 +54,13 @@ def test_geodesic_distance_equals_the_norm_of_the_logarithm() -> None:
     eigenvalues = torch.linalg.eigvals(first @ second.transpose(1, 2))
     norm = eigenvalues.log().abs().square().sum(1).sqrt()
     torch.testing.assert_close(geodesic_distance(first, second), norm / math.sqrt(2))
+
+
+def test_pairwise_distances_agree_with_single_ones() -> None:
+    first, second = rotation(random_pose(4, 1)), rotation(random_pose(6, 2))
+    expected = geodesic_distance(first[:, None].expand(4, 6, 3, 3), second.expand(4, 6, 3, 3))
+    torch.testing.assert_close(pairwise_distance(first, second), expected)
+    torch.testing.assert_close(pairwise_distance(first, first).diagonal(), torch.zeros(4).double(), atol=1e-7, rtol=0)
 
 
 def test_pose_error_of_known_turns() -> None:

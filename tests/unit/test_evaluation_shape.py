@@ -1,6 +1,8 @@
 import torch
 
-from pipeline.evaluation.shape import chamfer_l1, iou, sample_surface
+from pipeline.evaluation.shape import chamfer_l1, iou, sample_outer_surface, sample_surface
+from pipeline.geometry.icosphere import icosphere
+from pipeline.geometry.voxels import voxelize
 
 TRIANGLES = torch.tensor([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5], [3, 0, 5], [0, 2, 5]]])
 FACES = torch.tensor([[0, 1, 2], [3, 4, 5]])
@@ -32,9 +34,20 @@ def test_chamfer_counts_both_directions() -> None:
 
 
 def test_points_lie_on_the_surface_in_proportion_to_area() -> None:
-    points = sample_surface(TRIANGLES, FACES, 4000, torch.Generator().manual_seed(0))[0]
+    (points,), (normals,) = sample_surface(TRIANGLES, FACES, 4000, torch.Generator().manual_seed(0))
+    torch.testing.assert_close(normals, torch.tensor([0.0, 0, 1]).expand(4000, 3))
     lower = points[:, 2] < 1
     torch.testing.assert_close(lower.float().mean(), torch.tensor(0.5 / 3.5), atol=0.02, rtol=0)
     assert (points[lower][:, :2].sum(1) <= 1 + 1e-6).all()
     torch.testing.assert_close(points[lower].mean(0), torch.tensor([1 / 3, 1 / 3, 0]), atol=0.03, rtol=0)
     torch.testing.assert_close(points[~lower].mean(0), torch.tensor([1, 2 / 3, 5]), atol=0.05, rtol=0)
+
+
+def test_points_inside_overlapping_parts_are_left_out() -> None:
+    vertices, faces = icosphere(2)
+    near, far = torch.tensor([0.0, 0, -0.1]), torch.tensor([0.0, 0, 0.1])
+    pair = torch.cat([vertices * 0.3 + near, vertices * 0.3 + far])[None].float()
+    both = torch.cat([faces, faces + len(vertices)])
+    points = sample_outer_surface(pair, both, voxelize(pair, both, 32), 500, torch.Generator().manual_seed(0))
+    outside_both = torch.minimum((points[0] - near).norm(dim=1), (points[0] - far).norm(dim=1)) > 0.27
+    assert outside_both.float().mean() > 0.97

@@ -1,0 +1,103 @@
+import math
+
+import pytest
+import torch
+
+from pipeline.evaluation.alignment import turn_pose, turn_vertices
+from pipeline.evaluation.artifacts import Reconstruction, Reconstructions, Truth
+from pipeline.evaluation.evaluate import EvaluateConfig, Learned, evaluate_images, evaluate_truth
+from pipeline.evaluation.shape_metrics import ShapeConfig, silhouettes
+from pipeline.geometry.camera import CameraConfig, Pose
+from pipeline.geometry.icosphere import icosphere
+from pipeline.networks.wide_resnet import FeatureExtractor, WideResNet
+from pipeline.rendering.renderer import RendererConfig
+from pipeline.seeding import initialised
+
+COUNT = 12
+RENDERER = RendererConfig(camera=CameraConfig(distance=2.7, field_of_view=30.0), size=16, supersampling=2)
+CONFIG = EvaluateConfig(
+    seed=0, shape=ShapeConfig(voxel_resolution=16, surface_points=400), chance_draws=36, batch_size=5
+)
+FRAME = math.radians(90)
+
+
+def random_pose(count: int, seed: int) -> Pose:
+    unit = torch.rand(2, count, generator=torch.Generator().manual_seed(seed))
+    zeros = torch.zeros(count)
+    return Pose(unit[0] * 2 * math.pi, unit[1] * 0.5, zeros, torch.zeros(count, 2), zeros + 0.8)
+
+
+def ellipsoids(count: int) -> torch.Tensor:
+    sizes = torch.tensor([0.5, 0.4, 1.0]) + torch.linspace(-0.05, 0.05, count)[:, None] * torch.tensor([1.0, 1, 0])
+    return icosphere(2)[0].float() / 2 * sizes[:, None]
+
+
+def reconstruction(pose: Pose, vertices: torch.Tensor, shade: float) -> Reconstruction:
+    images = torch.full((COUNT, 3, 16, 16), shade)
+    return Reconstruction(pose, vertices, torch.zeros(COUNT, 3, 16), images)
+
+
+@pytest.fixture(scope="module")
+def truth() -> Truth:
+    vertices, (directions, faces) = ellipsoids(COUNT), icosphere(2)
+    pose = random_pose(COUNT, 0)
+    masks = silhouettes(reconstruction(pose, vertices, 0), faces, directions.float(), RENDERER)
+    return Truth(pose, masks, vertices, faces)
+
+
+@pytest.fixture(scope="module")
+def learned(truth: Truth) -> Learned:
+    """Give the right answers in a frame turned by 90 degrees; before fine-tuning a third of the poses are flipped."""
+    directions, faces = icosphere(2)
+    pose, vertices = turn_pose(truth.pose, -FRAME), turn_vertices(truth.vertices, -FRAME)
+    wrong = pose._replace(azimuth=pose.azimuth + math.pi * (torch.arange(COUNT) % 3 == 0))
+    reconstructions = Reconstructions(
+        reconstruction(wrong, vertices, 0.5),
+        reconstruction(pose, vertices, 0.25),
+        torch.zeros(COUNT, 3, 4, 4),
+        faces,
+        directions.float(),
+        torch.arange(COUNT),
+    )
+    base = vertices[COUNT // 2]
+    return Learned(reconstructions, pose, base, faces, torch.stack([base, directions.float() / 2]), faces, RENDERER)
+
+
+def test_right_answers_in_a_turned_frame_score_full_marks(learned: Learned, truth: Truth) -> None:
+    figures, table = evaluate_truth(learned, truth, truth, CONFIG)
+    assert math.isclose(figures["alignment"]["degrees"], 90)
+    assert figures["pose"]["train"]["acc_pi6"] == figures["pose"]["test_tuned"]["acc_pi6"] == 1
+    assert math.isclose(figures["pose"]["test"]["acc_pi6"], 2 / 3)
+    assert math.isclose(figures["pose"]["test"]["flipped"]["value"], 1 / 3)
+    assert figures["shape"]["test_tuned"]["voxel_iou"]["value"] > 0.99
+    assert figures["shape"]["test_tuned"]["mask_iou"]["value"] == 1
+    assert figures["shape"]["test_tuned"]["chamfer_l1"]["value"] < 0.03
+    assert figures["shape"]["base"]["voxel_iou"]["value"] > 0.85
+    assert table["rotation_error_predicted"].sort().values[-4:].tolist() == pytest.approx([180] * 4, abs=1e-3)
+
+
+def test_every_figure_has_n_and_standard_error(learned: Learned, truth: Truth) -> None:
+    figures, table = evaluate_truth(learned, truth, truth, CONFIG)
+    for rows in (figures["pose"].values(), figures["shape"]["test"].values(), [figures["shape"]["base"]["voxel_iou"]]):
+        assert all(row["n"] == COUNT and row["standard_error"] >= 0 for row in rows)
+    assert all(len(column) == COUNT for column in table.values())
+
+
+def test_best_seed_fits_the_mean_shape(learned: Learned, truth: Truth) -> None:
+    figures, _ = evaluate_truth(learned, truth, truth, CONFIG)
+    ellipsoid, sphere = figures["shape"]["base"]["seed_mean_shape_iou"]
+    assert ellipsoid > 0.9 > 0.5 > sphere
+
+
+def test_same_seed_gives_the_same_figures(learned: Learned, truth: Truth) -> None:
+    assert evaluate_truth(learned, truth, truth, CONFIG)[0] == evaluate_truth(learned, truth, truth, CONFIG)[0]
+
+
+def test_reconstruction_nearer_to_the_photograph_counts_as_improved(learned: Learned) -> None:
+    with initialised(0, "extractor"):
+        extractor = FeatureExtractor(WideResNet(10, 1, 2))
+    photographs = learned.reconstructions.tuned.images
+    figures, table = evaluate_images(photographs, learned.reconstructions, extractor, CONFIG)
+    assert figures["reconstruction"]["improved"]["value"] == 1
+    assert figures["reconstruction"]["tuned"]["feature_distance"]["value"] == 0
+    torch.testing.assert_close(table["psnr_predicted"], torch.full((COUNT,), -20 * math.log10(0.25)))
