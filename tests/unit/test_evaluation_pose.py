@@ -113,7 +113,7 @@ def test_constant_is_the_most_frequent_view() -> None:
     truth = pose(azimuth, elevation=20, roll=5)
     errors = geodesic_distance(fit_constant(truth).expand(len(azimuth), 3, 3), rotation(truth))
     assert (errors[:60] <= ACCURATE).all()
-    assert (errors <= ACCURATE).sum() >= 60 + 7
+    assert (errors <= ACCURATE).sum() >= 60 + 5
 
 
 def test_chance_is_a_sixth_of_the_circle_when_only_azimuth_is_free() -> None:
