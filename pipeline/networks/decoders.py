@@ -1,0 +1,106 @@
+"""Shapes of the full model: from a code to parameters, and from parameters to vertices (paper section 3.2.1)."""
+
+from typing import Protocol
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from pipeline.geometry.ffd import CONTROL_POINTS, control_point_weights, deform
+from pipeline.geometry.normalize import fit_unit_cube
+from pipeline.geometry.symmetry import mirror_index, symmetrize
+
+
+class ShapeSpace(Protocol):
+    """A family of shapes with a fixed number of parameters; all zeros stand for the base shape."""
+
+    parameter_count: int
+
+    def __call__(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
+        """Return the shapes' vertices, scaled into the unit cube."""
+        ...
+
+    def draw(self, count: int, spread: float, rng: torch.Generator) -> Float[Tensor, "B K"]:
+        """Draw parameters from a normal distribution around the base shape."""
+        ...
+
+
+class FreeFormShapes(nn.Module):
+    """Deform a base shape by a 4x4x4 grid and by relative width, height and depth (paper section 3.2.1).
+
+    Parameters are the 64 x 3 offsets of the control points in units of `grid_reach`, then the logarithms of the three
+    relative dimensions in units of `dimension_reach`.
+    """
+
+    base_vertices: Tensor
+    weights: Tensor
+    mirrored_points: Tensor
+
+    def __init__(
+        self, base_vertices: Float[Tensor, "V 3"], grid_reach: float, dimension_reach: float, mirror: bool
+    ) -> None:
+        super().__init__()
+        self.grid_reach, self.dimension_reach, self.mirror = grid_reach, dimension_reach, mirror
+        self.parameter_count = CONTROL_POINTS * 3 + 3
+        axis = torch.arange(4.0)
+        grid = torch.cartesian_prod(axis, axis, axis) / 3 - 0.5
+        self.register_buffer("base_vertices", base_vertices, persistent=False)
+        self.register_buffer("weights", control_point_weights(base_vertices), persistent=False)
+        self.register_buffer("mirrored_points", mirror_index(grid), persistent=False)
+
+    def forward(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
+        """Return the deformed vertices, scaled into the unit cube. Gradients flow to the parameters."""
+        offsets = self.grid_reach * parameters[:, :-3].unflatten(1, (CONTROL_POINTS, 3))
+        if self.mirror:
+            offsets = symmetrize(offsets, self.mirrored_points)
+        dimensions = (self.dimension_reach * parameters[:, -3:]).exp()
+        return fit_unit_cube(deform(self.base_vertices, self.weights, offsets) * dimensions[:, None])
+
+    def draw(self, count: int, spread: float, rng: torch.Generator) -> Float[Tensor, "B K"]:
+        """Draw parameters from a normal distribution around the base shape."""
+        return spread * torch.randn(count, self.parameter_count, generator=rng, device=rng.device)
+
+
+class OffsetShapes(nn.Module):
+    """Deform an ellipsoid by one offset a vertex: the shapes of single-stage training (paper sections 3.1.1 and 4.1.3).
+
+    Parameters are offsets in units of `reach`; random ones are uniform over the surface, because independent offsets of
+    neighbouring vertices would only make it rough.
+    """
+
+    base_vertices: Tensor
+    mirrored_vertices: Int[Tensor, " V"]
+
+    def __init__(self, base_vertices: Float[Tensor, "V 3"], reach: float, mirror: bool) -> None:
+        super().__init__()
+        self.reach, self.mirror = reach, mirror
+        self.parameter_count = base_vertices.numel()
+        self.register_buffer("base_vertices", base_vertices, persistent=False)
+        self.register_buffer("mirrored_vertices", mirror_index(base_vertices), persistent=False)
+
+    def forward(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
+        """Return the deformed vertices, scaled into the unit cube. Gradients flow to the parameters."""
+        offsets = self.reach * parameters.unflatten(1, (-1, 3))
+        if self.mirror:
+            offsets = symmetrize(offsets, self.mirrored_vertices)
+        return fit_unit_cube(self.base_vertices + offsets)
+
+    def draw(self, count: int, spread: float, rng: torch.Generator) -> Float[Tensor, "B K"]:
+        """Draw parameters that stretch the ellipsoid along the three axes by normal amounts."""
+        stretch = spread * torch.randn(count, 1, 3, generator=rng, device=rng.device)
+        return (stretch * self.base_vertices / self.reach).flatten(1)
+
+
+class ShapeDecoder(nn.Module):
+    """Regress the parameters of a shape space; starts at the base shape."""
+
+    def __init__(self, code_size: int, hidden_size: int, parameter_count: int) -> None:
+        super().__init__()
+        output = nn.Linear(hidden_size, parameter_count)
+        nn.init.normal_(output.weight, std=1e-3)
+        nn.init.zeros_(output.bias)
+        self.layers = nn.Sequential(nn.ReLU(), nn.Linear(code_size, hidden_size), nn.ReLU(), output)
+
+    def forward(self, code: Float[Tensor, "B K"]) -> Float[Tensor, "B parameters"]:
+        """Return shape parameters."""
+        return self.layers(code)

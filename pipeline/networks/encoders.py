@@ -1,0 +1,85 @@
+"""Image encoders of the full model."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Literal
+
+import torch.nn.functional as functional
+from jaxtyping import Float
+from torch import Tensor, nn
+
+NORMALIZATION_GROUPS = 8
+
+
+@dataclass(frozen=True)
+class EncoderConfig:
+    """Shape of an encoder."""
+
+    architecture: Literal["wide_resnet", "resnet18"]
+    """`wide_resnet` for 32 px photographs, `resnet18` for larger ones (paper section 4.2)."""
+    width: int
+    """Channels of the first group of blocks; every later group doubles them. ResNet-18 has 64, WRN-d-k has 16 k."""
+    blocks: int
+    """Residual blocks in each group. ResNet-18 has 2, WRN-16-k has 2."""
+
+
+class ResidualBlock(nn.Module):
+    """Add two normalised 3x3 convolutions to a shortcut (pre-activation, as in wide residual networks).
+
+    Group instead of batch normalisation: a picture's code must not depend on its neighbours in the batch, and the
+    curriculum starts with batches that hold few different photographs.
+    """
+
+    def __init__(self, channels_in: int, channels_out: int, stride: int) -> None:
+        super().__init__()
+        self.normalize_1 = nn.GroupNorm(NORMALIZATION_GROUPS, channels_in)
+        self.convolution_1 = nn.Conv2d(channels_in, channels_out, 3, stride, 1, bias=False)
+        self.normalize_2 = nn.GroupNorm(NORMALIZATION_GROUPS, channels_out)
+        self.convolution_2 = nn.Conv2d(channels_out, channels_out, 3, 1, 1, bias=False)
+        self.shortcut = (
+            nn.Identity()
+            if stride == 1 and channels_in == channels_out
+            else nn.Conv2d(channels_in, channels_out, 1, stride, bias=False)
+        )
+
+    def forward(self, maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B C2 H2 W2"]:
+        """Return the block's output; a stride of two halves height and width."""
+        activated = functional.relu(self.normalize_1(maps))
+        residual = self.convolution_1(activated)
+        residual = self.convolution_2(functional.relu(self.normalize_2(residual)))
+        return self.shortcut(activated if isinstance(self.shortcut, nn.Conv2d) else maps) + residual
+
+
+class Encoder(nn.Module):
+    """Encode photographs as vectors of `code_size` numbers (paper section 3.2).
+
+    The wide residual network keeps 32 px in its first group and has three groups; ResNet-18 starts with a strided 7x7
+    convolution and a pooling and has four.
+    """
+
+    def __init__(self, config: EncoderConfig, code_size: int) -> None:
+        super().__init__()
+        deep = config.architecture == "resnet18"
+        widths = [config.width * 2**group for group in range(4 if deep else 3)]
+        self.stem = nn.Sequential(
+            *(
+                (nn.Conv2d(3, config.width, 7, 2, 3, bias=False), nn.MaxPool2d(3, 2, 1))
+                if deep
+                else (nn.Conv2d(3, config.width, 3, 1, 1, bias=False),)
+            )
+        )
+        groups = [_group(config.width, config.width, config.blocks, stride=1)]
+        groups += [_group(narrow, wide, config.blocks, stride=2) for narrow, wide in pairwise(widths)]
+        self.groups = nn.Sequential(*groups)
+        self.normalize = nn.GroupNorm(NORMALIZATION_GROUPS, widths[-1])
+        self.project = nn.Linear(widths[-1] * 16, code_size)
+
+    def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B K"]:
+        """Return the codes of images in [0, 1]; pooling to 4x4 keeps where things are."""
+        maps = functional.relu(self.normalize(self.groups(self.stem(2 * images - 1))))
+        return self.project(functional.adaptive_avg_pool2d(maps, 4).flatten(1))
+
+
+def _group(channels_in: int, channels_out: int, blocks: int, stride: int) -> nn.Sequential:
+    first = ResidualBlock(channels_in, channels_out, stride)
+    return nn.Sequential(first, *(ResidualBlock(channels_out, channels_out, 1) for _ in range(blocks - 1)))

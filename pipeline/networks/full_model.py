@@ -1,0 +1,163 @@
+"""The full model: from a photograph to shape, pose, texture and background (paper section 3.2)."""
+
+import json
+from dataclasses import asdict, dataclass, is_dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, get_type_hints
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor, nn
+
+from pipeline.files import load_tensors
+from pipeline.geometry.camera import Pose, project
+from pipeline.networks.decoders import FreeFormShapes, OffsetShapes, ShapeDecoder
+from pipeline.networks.encoders import Encoder, EncoderConfig
+from pipeline.networks.generators import StripesGenerator, TextureGenerator
+from pipeline.networks.pose_decoder import PoseCoordinates, PoseDecoder, PoseRange
+from pipeline.rendering.renderer import Mesh, RendererConfig, render
+
+
+@dataclass(frozen=True)
+class ShapeConfig:
+    """How predicted shapes may differ from the base shape, in world units."""
+
+    mirror: bool
+    """Whether predicted shapes are mirror-symmetric about x = 0."""
+    grid_reach: float
+    """Control point offset at parameter 1, in world units."""
+    dimension_reach: float
+    """Logarithm of a relative dimension at parameter 1."""
+    offset_reach: float
+    """Vertex offset at parameter 1 in single-stage training, in world units."""
+
+
+@dataclass(frozen=True)
+class FullModelConfig:
+    """Everything needed to build the networks of the full model."""
+
+    two_stage: bool
+    """Deform a learned base shape by a grid; false deforms an ellipsoid vertex by vertex (paper section 4.1.3)."""
+    framing: Literal["free", "box"]
+    """`box` lets the object fill each rendering, like photographs cut to their boxes; `free` leaves it where it is."""
+    encoder: EncoderConfig
+    code_size: int
+    """Size of the codes of shape, pose and background."""
+    texture_code_size: int
+    """Size of the texture code; a small one makes photographs share the paint that tells front from rear."""
+    hidden_size: int
+    """Hidden units of the shape decoder, of a pose head and of the background decoder's rows."""
+    pose_heads: int
+    """Members of the pose ensemble, the student not counted."""
+    pose_range: PoseRange
+    texture_size: int
+    texture_channels: int
+    mirror_texture: bool
+    shape: ShapeConfig
+    renderer: RendererConfig
+
+
+class Reconstruction(NamedTuple):
+    """A batch of reconstructed objects and what is behind them."""
+
+    vertices: Float[Tensor, "B V 3"]
+    """World space, inside the unit cube."""
+    texture_maps: Float[Tensor, "B 3 T T"]
+    """RGB in [0, 1]."""
+    pose: Pose
+    backgrounds: Float[Tensor, "B 3 H W"]
+    """RGB in [0, 1], constant along every row."""
+
+
+class FullModel(nn.Module):
+    """Reconstruct textured objects from single photographs (paper section 3.2)."""
+
+    base_vertices: Float[Tensor, "V 3"]
+    faces: Int[Tensor, "F 3"]
+    directions: Float[Tensor, "V 3"]
+
+    def __init__(self, config: FullModelConfig, base: Mesh) -> None:
+        """Build the networks around a base mesh of batch size one: the base shape or the initial ellipsoid."""
+        super().__init__()
+        self.config = config
+        self.register_buffer("base_vertices", base.vertices[0])
+        self.register_buffer("faces", base.faces)
+        self.register_buffer("directions", base.directions)
+        shape, code, hidden = config.shape, config.code_size, config.hidden_size
+        self.shapes = (
+            FreeFormShapes(base.vertices[0], shape.grid_reach, shape.dimension_reach, shape.mirror)
+            if config.two_stage
+            else OffsetShapes(base.vertices[0], shape.offset_reach, shape.mirror)
+        )
+        self.poses = PoseCoordinates(config.pose_range)
+        self.shape_encoder = Encoder(config.encoder, code)
+        self.pose_encoder = Encoder(config.encoder, code)
+        self.texture_encoder = Encoder(config.encoder, config.texture_code_size)
+        self.background_encoder = Encoder(config.encoder, code)
+        self.shape_decoder = ShapeDecoder(code, hidden, self.shapes.parameter_count)
+        self.pose_decoder = PoseDecoder(code, hidden, config.pose_heads)
+        self.texture_decoder = TextureGenerator(
+            config.texture_code_size, config.texture_channels, config.texture_size, config.mirror_texture
+        )
+        self.background_decoder = StripesGenerator(code, hidden, config.renderer.size)
+
+    @torch.no_grad()
+    def infer(self, images: Float[Tensor, "B 3 H W"]) -> Reconstruction:
+        """Reconstruct photographs in [0, 1]; the pose is the student's. Put the model into evaluation mode first."""
+        vertices = self.shapes(self.shape_decoder(self.shape_encoder(images)))
+        pose = self.poses.pose(self.pose_decoder(self.pose_encoder(images)))
+        texture_maps = self.texture_decoder(self.texture_encoder(images))
+        backgrounds = self.background_decoder(self.background_encoder(images))
+        return Reconstruction(vertices, texture_maps, self.framed(vertices, pose), backgrounds)
+
+    def render(self, reconstruction: Reconstruction) -> Float[Tensor, "B 3 H W"]:
+        """Render reconstructions without directional light, because textures hold the shading (paper section 3.2)."""
+        vertices, texture_maps, pose, backgrounds = reconstruction
+        mesh = Mesh(vertices, self.faces, self.directions)
+        pose = self.framed(vertices, pose)
+        return render(mesh, texture_maps, pose, backgrounds, None, self.config.renderer).images
+
+    def framed(self, vertices: Float[Tensor, "B V 3"], pose: Pose) -> Pose:
+        """Return the pose as it is, or for photographs cut to their boxes the one that fills the picture."""
+        return fill_picture(vertices, pose, self.config.renderer) if self.config.framing == "box" else pose
+
+
+def fill_picture(vertices: Float[Tensor, "B V 3"], pose: Pose, renderer: RendererConfig) -> Pose:
+    """Replace centre and scale so that the longer side of the object's box in the picture spans it (paper section 4.2).
+
+    Three degrees of freedom remain: azimuth, elevation and roll. Gradients flow to the vertices and to those three.
+    """
+    plain = pose._replace(center=torch.zeros_like(pose.center), scale=torch.ones_like(pose.scale))
+    xy_ndc = project(vertices, plain, renderer.camera)[..., :2]
+    lower, upper = xy_ndc.amin(dim=1), xy_ndc.amax(dim=1)
+    scale = 2 / (upper - lower).amax(dim=1)
+    return pose._replace(center=-scale[:, None] * (lower + upper) / 2, scale=scale)
+
+
+def full_model_texts(model: FullModel) -> dict[str, str]:
+    """Return what has to stand beside the weights in a file to rebuild the model from it."""
+    return {"config": json.dumps(asdict(model.config), sort_keys=True)}
+
+
+def load_full_model(path: Path, device: torch.device) -> FullModel:
+    """Load a model that `train_full` saved, in evaluation mode."""
+    tensors, texts = load_tensors(path)
+    config = _rebuild(FullModelConfig, json.loads(texts["config"]))
+    base = Mesh(tensors["base_vertices"][None], tensors["faces"], tensors["directions"])
+    model = FullModel(config, base)
+    model.load_state_dict({name: tensors[name] for name in model.state_dict()})
+    return model.to(device).eval()
+
+
+def _rebuild(config_class: type[Any], values: dict[str, Any]) -> Any:
+    hints = get_type_hints(config_class)
+    return config_class(
+        **{
+            name: _rebuild(hints[name], value)
+            if is_dataclass(hints[name])
+            else tuple(value)
+            if isinstance(value, list)
+            else value
+            for name, value in values.items()
+        }
+    )

@@ -1,0 +1,180 @@
+"""Search for the best pose and shape of each training photograph (paper sections 3.2.1 and 3.2.2).
+
+Candidates are laid out one after the other, each for the whole batch: row `candidate * batch + photograph`.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from pipeline.losses.image_distance import Features, feature_distance
+from pipeline.networks.full_model import FullModel, Reconstruction
+from pipeline.networks.pose_decoder import PoseCoordinates
+from pipeline.networks.wide_resnet import FeatureExtractor
+
+FIRST_HEAD = 2
+"""Index of the ensemble's first candidate, after the recorded pose and the student's."""
+
+
+@dataclass(frozen=True)
+class ExplorationConfig:
+    """How many candidates of each kind a photograph gets in one iteration, and how far they lie from its record."""
+
+    random_poses: int
+    """Drawn from the whole pose range."""
+    turned_poses: int
+    """The recorded pose with other azimuths, evenly spread over the circle from a random start."""
+    perturbed_poses: int
+    """Near the recorded pose."""
+    random_shapes: int
+    perturbed_shapes: int
+    """Near the recorded shape."""
+    pose_step: tuple[float, float]
+    """Smallest and largest standard deviation of a perturbation, in pose coordinates; drawn log-uniformly."""
+    shape_step: tuple[float, float]
+    """The same in shape parameters."""
+    shape_spread: float
+    """Standard deviation of random shapes around the base shape, in shape parameters."""
+
+
+class Record(NamedTuple):
+    """The best pose and shape found so far for some photographs."""
+
+    pose: Float[Tensor, "N 7"]
+    """Pose coordinates, see `PoseCoordinates`."""
+    shape: Float[Tensor, "N K"]
+    """Shape parameters."""
+
+    def rows(self, index: Int[Tensor, " B"]) -> "Record":
+        """Return the record of some photographs."""
+        return Record(self.pose[index], self.shape[index])
+
+
+class Estimate(NamedTuple):
+    """What the networks predict for a batch of photographs."""
+
+    student: Float[Tensor, "B 7"]
+    heads: Float[Tensor, "B heads 7"]
+    shape: Float[Tensor, "B K"]
+    texture_maps: Float[Tensor, "B 3 T T"]
+    backgrounds: Float[Tensor, "B 3 H W"]
+
+
+class Best(NamedTuple):
+    """The candidates with the lowest reconstruction loss; gradients flow to the networks whose own estimate won."""
+
+    record: Record
+    losses: Float[Tensor, " B"]
+    """Reconstruction losses of the winners."""
+    head: Int[Tensor, " B"]
+    """The ensemble's best head."""
+    winner: Int[Tensor, " B"]
+    """Index of the winning candidate, in the order of `candidates`."""
+
+
+def first_record(model: FullModel, count: int, rng: torch.Generator) -> Record:
+    """Start with random poses and the base shape."""
+    pose = model.poses.embed(model.poses.draw(count, rng))
+    return Record(pose, torch.zeros(count, model.shapes.parameter_count, device=rng.device))
+
+
+def candidates(
+    model: FullModel, estimate: Estimate, record: Record, config: ExplorationConfig, rng: torch.Generator
+) -> tuple[Float[Tensor, "candidates B 7"], Float[Tensor, "candidates B K"]]:
+    """List poses (recorded, estimated, near, random) with the recorded shape, then shapes with the recorded pose."""
+    poses = torch.cat(
+        [
+            record.pose[None],
+            estimate.student[None],
+            estimate.heads.transpose(0, 1),
+            _near(record.pose, config.perturbed_poses, config.pose_step, rng),
+            _turned(record.pose, config.turned_poses, rng),
+            _random_poses(model.poses, len(record.pose), config.random_poses, rng),
+        ]
+    )
+    poses = model.poses.clamp(poses.flatten(0, 1)).unflatten(0, (len(poses), -1))
+    shapes = torch.cat(
+        [
+            estimate.shape[None],
+            _near(record.shape, config.perturbed_shapes, config.shape_step, rng),
+            _random_shapes(model, len(record.shape), config, rng),
+        ]
+    )
+    pose_count, shape_count = len(poses), len(shapes)
+    return (
+        torch.cat([poses, record.pose.expand(shape_count, -1, -1)]),
+        torch.cat([record.shape.expand(pose_count, -1, -1), shapes]),
+    )
+
+
+@torch.no_grad()
+def score(
+    model: FullModel,
+    extractor: FeatureExtractor,
+    photographs: Features,
+    estimate: Estimate,
+    poses: Float[Tensor, "candidates B 7"],
+    shapes: Float[Tensor, "candidates B K"],
+) -> Float[Tensor, "candidates B"]:
+    """Return every candidate's reconstruction loss, rendered with the estimated texture and background in one batch."""
+    count = len(poses)
+    features = extractor(
+        model.render(
+            Reconstruction(
+                model.shapes(shapes.flatten(0, 1)),
+                estimate.texture_maps.repeat(count, 1, 1, 1),
+                model.poses.pose(poses.flatten(0, 1)),
+                estimate.backgrounds.repeat(count, 1, 1, 1),
+            )
+        )
+    )
+    of_candidates = zip(*(layer.chunk(count) for layer in features), strict=True)
+    return torch.stack([feature_distance(photographs, list(candidate)) for candidate in of_candidates])
+
+
+def explore(
+    model: FullModel,
+    extractor: FeatureExtractor,
+    photographs: Features,
+    estimate: Estimate,
+    record: Record,
+    config: ExplorationConfig,
+    rng: torch.Generator,
+) -> Best:
+    """Find the candidate with the lowest reconstruction loss for each photograph."""
+    poses, shapes = candidates(model, estimate, record, config, rng)
+    losses = score(model, extractor, photographs, estimate, poses, shapes)
+    lowest, winner = losses.min(dim=0)
+    photograph = torch.arange(len(winner), device=winner.device)
+    head = losses[FIRST_HEAD : FIRST_HEAD + estimate.heads.shape[1]].argmin(dim=0)
+    return Best(Record(poses[winner, photograph], shapes[winner, photograph]), lowest, head, winner)
+
+
+def _near(
+    recorded: Float[Tensor, "B K"], count: int, step: tuple[float, float], rng: torch.Generator
+) -> Float[Tensor, "count B K"]:
+    smallest, largest = step
+    exponent = torch.rand(count, len(recorded), 1, generator=rng, device=rng.device)
+    size = smallest * (largest / smallest) ** exponent
+    return recorded + size * torch.randn(count, *recorded.shape, generator=rng, device=rng.device)
+
+
+def _turned(recorded: Float[Tensor, "B 7"], count: int, rng: torch.Generator) -> Float[Tensor, "count B 7"]:
+    start = torch.rand(1, len(recorded), generator=rng, device=rng.device)
+    steps = torch.arange(count, device=rng.device)[:, None]
+    azimuth = 2 * math.pi * (start + steps) / max(count, 1)
+    turn = torch.stack([azimuth.cos(), azimuth.sin()], dim=2)
+    return torch.cat([turn, recorded[:, 2:].expand(count, -1, -1)], dim=2)
+
+
+def _random_poses(poses: PoseCoordinates, batch: int, count: int, rng: torch.Generator) -> Float[Tensor, "count B 7"]:
+    return poses.embed(poses.draw(count * batch, rng)).unflatten(0, (count, batch))
+
+
+def _random_shapes(model: FullModel, batch: int, config: ExplorationConfig, rng: torch.Generator) -> Tensor:
+    drawn = model.shapes.draw(config.random_shapes * batch, config.shape_spread, rng)
+    return drawn.unflatten(0, (config.random_shapes, batch))

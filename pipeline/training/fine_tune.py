@@ -1,0 +1,136 @@
+"""Photometric fine-tuning of single reconstructions (paper section 3.2.4)."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+from tqdm import tqdm
+
+from pipeline.geometry.camera import pose_to_tensor
+from pipeline.losses.image_distance import feature_distance
+from pipeline.networks.full_model import FullModel, Reconstruction
+from pipeline.networks.wide_resnet import FeatureExtractor, extract
+from pipeline.training.checkpoint import Checkpoint
+
+Loss = Callable[[Reconstruction], Float[Tensor, " B"]]
+
+
+@dataclass(frozen=True)
+class PhaseConfig:
+    """One optimisation of one of the networks' outputs by Adam."""
+
+    steps: int
+    learning_rate: float
+    """In the units of the output: background code, pose coordinates, or shape parameters."""
+
+
+@dataclass(frozen=True)
+class FineTuneConfig:
+    """Settings of fine-tuning; the three outputs are optimised one after the other."""
+
+    photographs: int | None
+    """How many photographs, from the first on; null for all."""
+    batch_size: int
+    betas: tuple[float, float]
+    background: PhaseConfig
+    pose: PhaseConfig
+    shape: PhaseConfig
+
+
+class Outputs:
+    """Hold what the networks predict for a batch of photographs, in the form in which it is tuned."""
+
+    def __init__(self, model: FullModel, images: Float[Tensor, "B 3 H W"]) -> None:
+        self.model = model
+        with torch.no_grad():
+            self.values = {
+                "background": model.background_encoder(images),
+                "pose": model.pose_decoder(model.pose_encoder(images)),
+                "shape": model.shape_decoder(model.shape_encoder(images)),
+            }
+            self.texture_maps = model.texture_decoder(model.texture_encoder(images))
+
+    def reconstruct(self, **replaced: Tensor) -> Reconstruction:
+        """Decode the outputs, some of them replaced. Gradients flow to the replacements."""
+        values = self.values | replaced
+        vertices = self.model.shapes(values["shape"])
+        pose = self.model.poses.pose(self.model.poses.clamp(values["pose"]))
+        backgrounds = self.model.background_decoder(values["background"])
+        return Reconstruction(vertices, self.texture_maps, self.model.framed(vertices, pose), backgrounds)
+
+
+def tune(outputs: Outputs, name: str, loss: Loss, phase: PhaseConfig, betas: tuple[float, float]) -> None:
+    """Descend on the loss along one output and keep each photograph's best value met, the first one included.
+
+    Photographs do not influence each other: Adam's steps are per coordinate and the losses are summed.
+    """
+    value = outputs.values[name].clone().requires_grad_()
+    best_value, best_loss = outputs.values[name].clone(), torch.full_like(value[:, 0], torch.inf)
+    optimizer = torch.optim.Adam([value], lr=phase.learning_rate, betas=betas)
+    for step in range(phase.steps + 1):
+        losses = loss(outputs.reconstruct(**{name: value}))
+        better = losses.detach() < best_loss
+        best_value = torch.where(better[:, None], value.detach(), best_value)
+        best_loss = torch.where(better, losses.detach(), best_loss)
+        if step < phase.steps:
+            optimizer.zero_grad()
+            losses.sum().backward()
+            optimizer.step()
+    outputs.values[name] = best_value
+
+
+def fine_tune(
+    config: FineTuneConfig,
+    images: UInt8[Tensor, "N 3 H W"],
+    model: FullModel,
+    extractor: FeatureExtractor,
+    checkpoint: Checkpoint,
+) -> dict[str, Tensor]:
+    """Reconstruct photographs and fine-tune background, pose and shape of each, batch by batch.
+
+    Returns, for `predicted` and `tuned`, `pose_*`, `vertices_*`, `backgrounds_*` (rows), `images_*` (8-bit renderings)
+    and `feature_distance_*`, then `textures`, `faces`, `directions` and `test_index`. Goes on from the checkpoint's
+    last batch.
+    """
+    model.requires_grad_(False)
+    index = torch.arange(len(images) if config.photographs is None else min(config.photographs, len(images)))
+    restored = checkpoint.load()
+    collected, done = ({}, 0) if restored is None else (restored[0], restored[1]["done"])
+    starts = range(done, len(index), config.batch_size)
+    for start in tqdm(starts, "fine-tuning", disable=None):
+        batch = index[start : start + config.batch_size]
+        results = _fine_tune_batch(config, images[batch.to(images.device)], model, extractor)
+        collected = {name: torch.cat([collected[name], new]) if collected else new for name, new in results.items()}
+        checkpoint.save(collected, {"done": start + len(batch)})
+    return collected | {"faces": model.faces, "directions": model.directions, "test_index": index}
+
+
+def _fine_tune_batch(
+    config: FineTuneConfig, images: UInt8[Tensor, "B 3 H W"], model: FullModel, extractor: FeatureExtractor
+) -> dict[str, Tensor]:
+    features = [layer.float() for layer in extract(extractor, images, len(images))]
+
+    def loss(reconstruction: Reconstruction) -> Float[Tensor, " B"]:
+        return feature_distance(features, extractor(model.render(reconstruction)))
+
+    outputs = Outputs(model, images.float() / 255)
+    results = _describe(outputs, loss, "predicted")
+    for name, phase in (("background", config.background), ("pose", config.pose), ("shape", config.shape)):
+        tune(outputs, name, loss, phase, config.betas)
+    return results | _describe(outputs, loss, "tuned") | {"textures": outputs.texture_maps.cpu()}
+
+
+@torch.no_grad()
+def _describe(outputs: Outputs, loss: Loss, state: str) -> dict[str, Tensor]:
+    reconstruction = outputs.reconstruct()
+    images = outputs.model.render(reconstruction)
+    results = {
+        "pose": pose_to_tensor(reconstruction.pose),
+        "vertices": reconstruction.vertices,
+        "backgrounds": reconstruction.backgrounds[..., 0],
+        "images": (images * 255).round().clamp(0, 255).to(torch.uint8),
+        "feature_distance": loss(reconstruction),
+    }
+    return {f"{name}_{state}": value.cpu() for name, value in results.items()}

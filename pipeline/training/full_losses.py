@@ -1,0 +1,117 @@
+"""The loss of full training (paper section 3.2.3)."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from pipeline.geometry.camera import Pose
+from pipeline.geometry.topology import topology_of
+from pipeline.losses.feature_matching import feature_matching
+from pipeline.losses.image_distance import Features, feature_distance
+from pipeline.losses.smoothness import SmoothnessConfig, smoothness
+from pipeline.losses.total_variation import total_variation
+from pipeline.losses.view_prior import reverse_gradient, view_prior_loss
+from pipeline.networks.discriminator import ViewDiscriminator
+from pipeline.networks.full_model import FullModel, Reconstruction
+from pipeline.networks.wide_resnet import FeatureExtractor
+from pipeline.training.exploration import Best, Estimate
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """Weights of the terms; the reconstruction term's is 1."""
+
+    feature_matching: float
+    pose_regression: float
+    shape_regression: float
+    total_variation: float
+    view_prior: float
+    smoothness: SmoothnessConfig
+    """Of single-stage training alone: a grid around a learned base shape cannot become rough (paper section 4.1.3)."""
+
+
+class FullLoss:
+    """Compute the terms of the loss of a batch."""
+
+    def __init__(
+        self, config: LossConfig, model: FullModel, discriminator: ViewDiscriminator, extractor: FeatureExtractor
+    ) -> None:
+        self.config, self.model, self.discriminator, self.extractor = config, model, discriminator, extractor
+        self.topology = topology_of(model.faces)
+
+    def terms(
+        self, photographs: Features, estimate: Estimate, best: Best, rng: torch.Generator
+    ) -> dict[str, Float[Tensor, ""]]:
+        """Return the unweighted terms and their weighted sum, `loss`.
+
+        `photographs` are features of the batch. Reconstructions use the best shapes and poses with the estimated
+        textures and backgrounds; gradients reach the networks whose estimates those are.
+        """
+        config, model = self.config, self.model
+        vertices = model.shapes(best.record.shape)
+        pose = model.framed(vertices, model.poses.pose(best.record.pose))
+        images = model.render(Reconstruction(vertices, estimate.texture_maps, pose, estimate.backgrounds))
+        features = self.extractor(images)
+        terms = {
+            "reconstruction": feature_distance(photographs, features).mean(),
+            "feature_matching": feature_matching(photographs, features),
+            "pose_regression": pose_regression(estimate, best),
+            "shape_regression": shape_regression(estimate, best),
+            "total_variation": total_variation(estimate.texture_maps),
+            "view_prior": self.view_prior(vertices, estimate, pose, images, rng),
+        }
+        terms["loss"] = (
+            terms["reconstruction"]
+            + config.feature_matching * terms["feature_matching"]
+            + config.pose_regression * terms["pose_regression"]
+            + config.shape_regression * terms["shape_regression"]
+            + config.total_variation * terms["total_variation"]
+            + config.view_prior * terms["view_prior"]
+        )
+        if not model.config.two_stage:
+            terms["smoothness"] = smoothness(model.shapes(estimate.shape), self.topology, config.smoothness).mean()
+            terms["loss"] = terms["total"] + terms["smoothness"]
+        return terms
+
+    def view_prior(
+        self,
+        vertices: Float[Tensor, "B V 3"],
+        estimate: Estimate,
+        pose: Pose,
+        images: Float[Tensor, "B 3 H W"],
+        rng: torch.Generator,
+    ) -> Float[Tensor, ""]:
+        """Compare the reconstructions with renderings of the same objects from random views (term 4).
+
+        Only azimuth and elevation are redrawn: where the object stands in the picture says nothing about how it looks.
+        The discriminator descends on the loss, the objects' shapes and textures ascend.
+        """
+        drawn = self.model.poses.draw(len(images), rng)
+        turned = self.model.framed(vertices, pose._replace(azimuth=drawn.azimuth, elevation=drawn.elevation))
+        others = self.model.render(Reconstruction(vertices, estimate.texture_maps, turned, estimate.backgrounds))
+        views = self.model.poses.embed(_joined(pose, turned)).detach()
+        logits = self.discriminator(reverse_gradient(torch.cat([images, others])), views)
+        estimated, random = logits.chunk(2)
+        return view_prior_loss(estimated, random)
+
+
+def pose_regression(estimate: Estimate, best: Best) -> Float[Tensor, ""]:
+    """Return the mean absolute error of the ensemble's best head and of the student to the recorded poses (term 2).
+
+    Errors are in pose coordinates. Only the head that reconstructs a photograph best learns from it (Insafutdinov &
+    Dosovitskiy 2018).
+    """
+    recorded = best.record.pose.detach()
+    winners = estimate.heads[torch.arange(len(best.head), device=best.head.device), best.head]
+    return (winners - recorded).abs().mean() + (estimate.student - recorded).abs().mean()
+
+
+def shape_regression(estimate: Estimate, best: Best) -> Float[Tensor, ""]:
+    """Return the mean absolute error of the estimated shape parameters to the recorded ones (term 2)."""
+    return (estimate.shape - best.record.shape.detach()).abs().mean()
+
+
+def _joined(first: Pose, second: Pose) -> Pose:
+    return Pose(*(torch.cat(pair) for pair in zip(first, second, strict=True)))

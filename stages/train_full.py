@@ -1,0 +1,60 @@
+"""Train the model that reads shape, pose, texture and background off one photograph (paper 3.2)."""
+
+from pathlib import Path
+
+from pipeline.config import load, scalar
+from pipeline.datasets.images import load_images
+from pipeline.device import resolve_device
+from pipeline.files import save_tensors, write_json
+from pipeline.geometry.camera import pose_to_tensor
+from pipeline.networks.full_model import full_model_texts
+from pipeline.networks.wide_resnet import load_feature_extractor
+from pipeline.training.checkpoint import Checkpoint, restart_key
+from pipeline.training.full import FullTrainer, FullTrainingConfig, load_base, train_full
+from stages.command_line import parse, run
+
+
+def main() -> None:
+    """Train around the base mesh, then write the model, the recorded best poses and shapes, and the curve."""
+    arguments = parse(
+        __doc__,
+        images=Path,
+        features=Path,
+        mesh=Path,
+        seed=int,
+        checkpoints=Path,
+        out=Path,
+        metrics=Path,
+        curve=Path,
+    )
+    config = load(arguments.params, FullTrainingConfig, arguments.sections)
+    device = resolve_device(scalar(arguments.params, "device"))
+    inputs = [arguments.images, arguments.features, arguments.mesh]
+    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed))
+    trainer, curve = train_full(
+        config,
+        load_images(arguments.images).to(device),
+        load_feature_extractor(arguments.features, device),
+        load_base(config, arguments.mesh, device),
+        arguments.seed,
+        checkpoint,
+    )
+    save(trainer, arguments.out)
+    curve.write(arguments.curve)
+    write_json(arguments.metrics, curve.rows[-1])
+    checkpoint.clear()
+
+
+def save(trainer: FullTrainer, path: Path) -> None:
+    """Write the model and what it recorded of each training photograph."""
+    tensors = {
+        **trainer.model.state_dict(),
+        "train_pose": pose_to_tensor(trainer.recorded_pose()),
+        "train_shape": trainer.record.shape,
+        "train_visits": trainer.visits,
+    }
+    save_tensors(path, tensors, full_model_texts(trainer.model))
+
+
+if __name__ == "__main__":
+    run(main)
