@@ -1,0 +1,194 @@
+"""Train the network whose features pictures are compared in (paper section 4.1: WRN-16-4 on CIFAR-10)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+import torch
+from jaxtyping import Int, UInt8
+from torch import Tensor, nn
+from torch.nn import functional
+from tqdm import tqdm
+
+from pipeline.datasets.images import load_images
+from pipeline.errors import DataError
+from pipeline.networks.wide_resnet import WideResNet
+from pipeline.seeding import generator, initialised
+from pipeline.training.augmentation import crop_and_mirror, to_float, turn
+from pipeline.training.checkpoint import Checkpoint, pack, require_finite, unpack
+from pipeline.training.curves import Curve
+
+
+@dataclass(frozen=True)
+class FeaturesConfig:
+    """Say which network learns what, and how fast."""
+
+    method: Literal["classification", "rotation"]
+    """Tell the data set's categories apart, or (self-supervised, no label at all) by how many right angles a picture
+    was turned (Gidaris et al., 2018)."""
+    depth: int
+    """Layers of the wide residual network: 6 N + 4."""
+    width: int
+    """Its widening factor."""
+    epochs: int
+    batch_size: int
+    learning_rate: float
+    """The peak of the one-cycle schedule, for this batch size."""
+    warm_up: float
+    """The fraction of all iterations in which the learning rate rises, linearly, before it falls to zero."""
+    momentum: float
+    weight_decay: float
+    """On the weights of convolutions and of the classifier; normalisations and biases are free."""
+    label_smoothing: float
+    crop_margin: int
+    """The largest random shift, in pixels; the border is reflected."""
+    precision: Literal["float32", "bfloat16"]
+    """Of the convolutions in training. bfloat16 is faster on GPUs and on CPUs with AVX512-BF16 or AMX, else slower."""
+    checkpoint_every: int
+    """Iterations between two restart states."""
+
+
+class Pictures(NamedTuple):
+    """Hold a split of a data set on the device: pictures of all categories with their category's number."""
+
+    images: UInt8[Tensor, "N 3 H W"]
+    labels: Int[Tensor, " N"]
+
+
+def list_categories(folder: Path) -> list[str]:
+    """Name the categories of a prepared split in the order of their labels. Raises DataError where there are none."""
+    categories = sorted(path.stem for path in folder.glob("*.npy"))
+    if not categories:
+        raise DataError(f"{folder} holds no pictures (*.npy); run prepare_data for its dataset first")
+    return categories
+
+
+def load_pictures(folder: Path, categories: Sequence[str], device: torch.device) -> Pictures:
+    """Load the categories of a prepared split onto the device. Raises DataError where one is missing."""
+    images = [load_images(folder / f"{category}.npy") for category in categories]
+    labels = [torch.full((len(group),), label) for label, group in enumerate(images)]
+    return Pictures(torch.cat(images).to(device), torch.cat(labels).to(device))
+
+
+class FeatureTrainer:
+    """Hold everything that changes while a network is trained."""
+
+    def __init__(self, config: FeaturesConfig, train: Pictures, seed: int) -> None:
+        """Build the network, on the pictures' device, and its optimizer."""
+        device = train.images.device
+        self.config, self.train, self.seed = config, train, seed
+        self.batch_size = min(config.batch_size, len(train.images))
+        self.iterations_per_epoch = len(train.images) // self.batch_size
+        self.iterations = config.epochs * self.iterations_per_epoch
+        self.network = _build_network(config, train, seed).to(device)
+        self.optimizer = _build_optimizer(config, self.network)
+        self.rng = generator(seed, "features", "augmentation", device=device)
+        self.loss_sum = torch.zeros((), device=device)
+
+    def parts(self) -> dict[str, nn.Module | torch.optim.Optimizer | torch.Generator | Tensor]:
+        """Return what a checkpoint must hold."""
+        return {"network": self.network, "optimizer": self.optimizer, "rng": self.rng, "loss_sum": self.loss_sum}
+
+    def batch(self, iteration: int) -> Pictures:
+        """Draw the iteration's pictures, augmented, and what the network must tell of them."""
+        epoch, position = divmod(iteration, self.iterations_per_epoch)
+        order = torch.randperm(len(self.train.images), generator=generator(self.seed, "features", "order", epoch))
+        index = order[position * self.batch_size : (position + 1) * self.batch_size].to(self.rng.device)
+        images = crop_and_mirror(self.train.images, index, self.config.crop_margin, self.rng)
+        if self.config.method == "classification":
+            return Pictures(images, self.train.labels[index])
+        quarters = torch.randint(4, (len(index),), generator=self.rng, device=self.rng.device)
+        return Pictures(turn(images, quarters), quarters)
+
+    def step(self, iteration: int) -> None:
+        """Take one optimisation step."""
+        rate = self.config.learning_rate * one_cycle(iteration, self.iterations, self.config.warm_up)
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        images, labels = self.batch(iteration)
+        with _precision(images.device, self.config):
+            scores = self.network.train()(to_float(images))
+            loss = functional.cross_entropy(scores, labels, label_smoothing=self.config.label_smoothing)
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        self.optimizer.step()
+        self.loss_sum += loss.detach()
+
+
+def train_features(
+    config: FeaturesConfig, train: Pictures, test: Pictures, seed: int, checkpoint: Checkpoint
+) -> tuple[WideResNet, Curve]:
+    """Train a network and return it with one row an epoch: learning rate, mean loss, test accuracy.
+
+    A killed call that is repeated with the same checkpoint returns the same bytes (CPU). Raises TrainingDiverged.
+    """
+    trainer, curve, first = FeatureTrainer(config, train, seed), Curve(), 0
+    if (restored := checkpoint.load()) is not None:
+        tensors, values = restored
+        unpack(tensors, **trainer.parts())
+        curve, first = Curve(values["rows"]), values["iteration"]
+    for iteration in tqdm(
+        range(first, trainer.iterations), "features", initial=first, total=trainer.iterations, disable=None
+    ):
+        trainer.step(iteration)
+        done = iteration + 1
+        if done % trainer.iterations_per_epoch == 0:
+            require_finite(trainer.loss_sum, iteration)
+            curve.append(
+                done,
+                learning_rate=config.learning_rate * one_cycle(iteration, trainer.iterations, config.warm_up),
+                train_loss=trainer.loss_sum.item() / trainer.iterations_per_epoch,
+                test_accuracy=accuracy(trainer.network, test, config),
+            )
+            trainer.loss_sum.zero_()
+        if done % config.checkpoint_every == 0 or done == trainer.iterations:
+            require_finite(trainer.loss_sum, iteration)
+            checkpoint.save(pack(**trainer.parts()), {"iteration": done, "rows": curve.rows})
+    return trainer.network.eval(), curve
+
+
+@torch.no_grad()
+def accuracy(network: WideResNet, pictures: Pictures, config: FeaturesConfig) -> float:
+    """Return the fraction of pictures the network tells right; for `rotation`, of all four turns of every picture."""
+    network.eval()
+    right = 0
+    for images, labels in zip(*(part.split(config.batch_size) for part in pictures), strict=True):
+        for quarters in range(4 if config.method == "rotation" else 1):
+            turned = images.rot90(quarters, (2, 3))
+            answers = torch.full_like(labels, quarters) if config.method == "rotation" else labels
+            with _precision(images.device, config):
+                right += int((network(to_float(turned)).argmax(dim=1) == answers).sum())
+    return right / trials(pictures, config)
+
+
+def trials(pictures: Pictures, config: FeaturesConfig) -> int:
+    """Return the number of answers `accuracy` is a mean of."""
+    return len(pictures.images) * (4 if config.method == "rotation" else 1)
+
+
+def one_cycle(iteration: int, iterations: int, warm_up: float) -> float:
+    """Return the learning rate, as a fraction of its peak: up linearly from zero, then down linearly to zero."""
+    progress = (iteration + 0.5) / iterations
+    return progress / warm_up if progress < warm_up else (1 - progress) / (1 - warm_up)
+
+
+def _precision(device: torch.device, config: FeaturesConfig) -> torch.autocast:
+    return torch.autocast(device.type, torch.bfloat16, enabled=config.precision == "bfloat16")
+
+
+def _build_network(config: FeaturesConfig, train: Pictures, seed: int) -> WideResNet:
+    classes = 4 if config.method == "rotation" else int(train.labels.max()) + 1
+    with initialised(seed, "features", "network"):
+        network = WideResNet(config.depth, config.width, classes)
+    for channel in range(3):
+        std, mean = torch.std_mean(train.images[:, channel].float() / 255)
+        network.std[:, channel], network.mean[:, channel] = std.cpu(), mean.cpu()
+    return network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+
+
+def _build_optimizer(config: FeaturesConfig, network: WideResNet) -> torch.optim.SGD:
+    decayed = [parameter for parameter in network.parameters() if parameter.ndim > 1]
+    free = [parameter for parameter in network.parameters() if parameter.ndim == 1]
+    groups = [{"params": decayed, "weight_decay": config.weight_decay}, {"params": free, "weight_decay": 0.0}]
+    return torch.optim.SGD(groups, lr=config.learning_rate, momentum=config.momentum, nesterov=True)

@@ -1,0 +1,115 @@
+"""The network learns either task, and a killed training ends with the bytes of an uninterrupted one."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from pipeline.errors import DataError, TrainingDiverged
+from pipeline.networks.wide_resnet import save_feature_extractor
+from pipeline.seeding import generator
+from pipeline.training.checkpoint import Checkpoint
+from pipeline.training.features import (
+    FeaturesConfig,
+    FeatureTrainer,
+    Pictures,
+    accuracy,
+    list_categories,
+    load_pictures,
+    one_cycle,
+    train_features,
+    trials,
+)
+
+CONFIG = FeaturesConfig(
+    method="classification",
+    depth=10,
+    width=1,
+    epochs=6,
+    batch_size=16,
+    learning_rate=0.1,
+    warm_up=0.25,
+    momentum=0.9,
+    weight_decay=5e-4,
+    label_smoothing=0.1,
+    crop_margin=2,
+    precision="float32",
+    checkpoint_every=3,
+)
+
+
+def bars(count: int, seed: int) -> Pictures:
+    """Draw noisy pictures that are bright below a random height, and (label 1) in a post that stands on it."""
+    rng = generator(seed, "bars")
+    values = torch.randint(0, 128, (count, 3, 16, 16), generator=rng, dtype=torch.uint8)
+    labels = torch.arange(count) % 2
+    for picture, label in enumerate(labels.tolist()):
+        top = int(torch.randint(9, 13, (), generator=rng))
+        values[picture, :, top:] += 100
+        if label:
+            values[picture, :, :top, 6:10] += 100
+    return Pictures(values, labels)
+
+
+@pytest.mark.parametrize("method", ["classification", "rotation"])
+def test_a_small_network_learns_the_task(method: str, tmp_path: Path) -> None:
+    config = replace(CONFIG, method=method)
+    network, curve = train_features(config, bars(192, 0), bars(64, 1), 0, Checkpoint(tmp_path, "key"))
+    assert accuracy(network, bars(64, 1), config) > 0.9
+    assert [row["iteration"] for row in curve.rows] == [12, 24, 36, 48, 60, 72]
+    assert curve.rows[-1]["test_accuracy"] == pytest.approx(accuracy(network, bars(64, 1), config), abs=1e-6)
+
+
+def test_rotation_is_asked_of_every_turn() -> None:
+    assert trials(bars(6, 0), replace(CONFIG, method="rotation")) == 24
+    assert trials(bars(6, 0), CONFIG) == 6
+
+
+def test_a_killed_training_ends_with_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    config = replace(CONFIG, epochs=2)
+    train, test = bars(80, 0), bars(16, 1)
+
+    def finish(name: str) -> tuple[bytes, list[dict[str, float]]]:
+        network, curve = train_features(config, train, test, 0, Checkpoint(tmp_path / name, "key"))
+        save_feature_extractor(tmp_path / f"{name}.safetensors", network, {})
+        return (tmp_path / f"{name}.safetensors").read_bytes(), curve.rows
+
+    uninterrupted = finish("uninterrupted")
+    step = FeatureTrainer.step
+
+    def killed(trainer: FeatureTrainer, iteration: int) -> None:
+        if iteration == 7:
+            raise KeyboardInterrupt
+        step(trainer, iteration)
+
+    monkeypatch.setattr(FeatureTrainer, "step", killed)
+    with pytest.raises(KeyboardInterrupt):
+        finish("killed")
+    monkeypatch.setattr(FeatureTrainer, "step", step)
+    assert finish("killed") == uninterrupted
+
+
+def test_a_diverged_training_is_an_error_and_keeps_the_state_before(tmp_path: Path) -> None:
+    checkpoint = Checkpoint(tmp_path, "key")
+    config = replace(CONFIG, learning_rate=1e30, checkpoint_every=1)
+    with pytest.raises(TrainingDiverged, match="checkpoint before it is kept"):
+        train_features(config, bars(64, 0), bars(16, 1), 0, checkpoint)
+    restored = checkpoint.load()
+    assert restored is not None
+    assert torch.isfinite(restored[0]["loss_sum"])
+
+
+def test_one_cycle_rises_to_its_peak_and_falls_to_zero() -> None:
+    rates = [one_cycle(iteration, 1000, 0.25) for iteration in range(1000)]
+    assert max(rates) == pytest.approx(1, abs=2e-3)
+    assert rates.index(max(rates)) == pytest.approx(250, abs=1)
+    assert rates[0] < 0.003
+    assert rates[-1] < 0.001
+
+
+def test_pictures_of_a_missing_category_are_a_data_error(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="holds no pictures"):
+        list_categories(tmp_path)
+    with pytest.raises(DataError, match="car"):
+        load_pictures(tmp_path, ["car"], torch.device("cpu"))
