@@ -1,0 +1,47 @@
+"""From radiance to a small picture: exposure, contrast, colour cast, softness, grain and JPEG."""
+
+import io
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image
+
+
+def develop(radiance: Float[np.ndarray, "B H W 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "B H W 3"]:
+    """Develop photographs, each with its own faults."""
+    count = len(radiance)
+
+    def vary(low: float, high: float, channels: int = 1) -> np.ndarray:
+        return rng.uniform(low, high, (count, 1, 1, channels))
+
+    exposed = np.clip(radiance * np.exp2(vary(-0.6, 0.7)) * vary(0.92, 1.08, 3), 0, 1) ** (1 / 2.2)
+    gray = exposed.mean(axis=-1, keepdims=True)
+    colors = gray + (exposed - gray) * vary(0.4, 1.2)
+    colors = 0.5 + (colors - 0.5) * vary(0.8, 1.3) + vary(-0.05, 0.05)
+    colors = _soften(colors, vary(0.0, 0.2)) + rng.normal(0.0, 1.0, colors.shape) * vary(0.0, 0.025)
+    pictures = (np.clip(colors, 0, 1) * 255).round().astype(np.uint8)
+    qualities = rng.integers(60, 96, count)
+    return np.stack([_compress(picture, int(quality)) for picture, quality in zip(pictures, qualities, strict=True)])
+
+
+def shrink(pictures: Float[np.ndarray, "B H W C"], factor: int) -> Float[np.ndarray, "B h w C"]:
+    """Average squares of `factor` pixels a side."""
+    batch, height, width, channels = pictures.shape
+    return pictures.reshape(batch, height // factor, factor, width // factor, factor, channels).mean(axis=(2, 4))
+
+
+def _soften(pictures: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """Blend every pixel with its four neighbours, `weight` from each pair."""
+    for axis in (1, 2):
+        padding = [(1, 1) if axis == other else (0, 0) for other in range(4)]
+        padded = np.pad(pictures, padding, mode="edge")
+        count = pictures.shape[axis]
+        before, after = (np.take(padded, np.arange(start, start + count), axis) for start in (0, 2))
+        pictures = pictures * (1 - weight) + (before + after) * weight / 2
+    return pictures
+
+
+def _compress(picture: np.ndarray, quality: int) -> np.ndarray:
+    stream = io.BytesIO()
+    Image.fromarray(picture).save(stream, "JPEG", quality=quality)
+    return np.asarray(Image.open(stream))

@@ -1,0 +1,81 @@
+"""Sun, sky and reflections on toybox objects."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.datasets.toybox.model import Specimens
+from pipeline.datasets.toybox.scenery import Place
+
+
+class Lighting(NamedTuple):
+    """The light of each picture, as radiance that a white surface reflects."""
+
+    sun: Float[np.ndarray, "B 3"]
+    """Unit vector towards the sun, world space."""
+    strength: Float[np.ndarray, "B"]
+    """Light of the sun."""
+    ambient: Float[np.ndarray, "B"]
+    """Light of the sky."""
+    sky: Float[np.ndarray, "B 3"]
+    """Colour that surfaces mirror above the horizon."""
+    floor: Float[np.ndarray, "B 3"]
+    """Colour that surfaces mirror below the horizon."""
+
+    @property
+    def on_ground(self) -> Float[np.ndarray, "B"]:
+        """Light that falls on level ground."""
+        return self.ambient * 1.2 + self.strength * self.sun[:, 1]
+
+    @property
+    def shadow(self) -> Float[np.ndarray, "B"]:
+        """Share of that light which an object keeps away."""
+        return 0.35 + 0.55 * self.strength * self.sun[:, 1] / self.on_ground
+
+
+def choose_lighting(place: Place, rng: np.random.Generator) -> Lighting:
+    """Draw sunshine or overcast from any side."""
+    count = len(place.sky)
+    azimuth, height = rng.uniform(0, 2 * np.pi, count), rng.uniform(0.35, 1.4, count)
+    sun = np.stack([np.sin(azimuth) * np.cos(height), np.sin(height), np.cos(azimuth) * np.cos(height)], axis=-1)
+    studio = place.studio[:, None]
+    return Lighting(
+        sun=sun,
+        strength=rng.uniform(0.1, 1.2, count),
+        ambient=rng.uniform(0.35, 0.6, count),
+        sky=np.where(studio, place.studio_color, place.sky),
+        floor=np.where(studio, place.studio_color * 0.5, place.ground * 0.5),
+    )
+
+
+def shade_faces(
+    vertices: Float[np.ndarray, "B V 3"], specimens: Specimens, toward_camera: Float[np.ndarray, "B 3"], lighting: Lighting
+) -> Float[np.ndarray, "B F 3"]:
+    """Return the radiance of every face: diffuse light of sun and sky, and a mirror image of sky, floor and sun."""
+    normals = _normals(vertices, specimens.solid.faces)
+    lambert = np.maximum(np.einsum("bfc,bc->bf", normals, lighting.sun), 0)
+    light = lighting.ambient[:, None] * (0.8 + 0.5 * normals[..., 1]) + lighting.strength[:, None] * lambert
+    facing = np.einsum("bfc,bc->bf", normals, toward_camera)
+    mirror = 2 * facing[..., None] * normals - toward_camera[:, None]
+    above = np.clip(mirror[..., 1:2] * 3 + 0.4, 0, 1)
+    surroundings = lighting.sky[:, None] * above + lighting.floor[:, None] * (1 - above)
+    shine = np.maximum(np.einsum("bfc,bc->bf", mirror, lighting.sun), 0) ** 30 * lighting.strength[:, None] * 2
+    materials = specimens.solid.materials
+    gloss = (specimens.gloss[materials] * (0.6 + 0.8 * (1 - np.clip(facing, 0, 1)) ** 3))[..., None]
+    diffuse = specimens.palette[:, materials] * light[..., None]
+    return (diffuse * (1 - gloss / 2) + gloss * (surroundings + shine[..., None])).astype(np.float32)
+
+
+def _normals(vertices: Float[np.ndarray, "B V 3"], faces: np.ndarray) -> Float[np.ndarray, "B F 3"]:
+    """Return unit normals half way between those of the flat faces and those of a smooth surface."""
+    corners = vertices[:, faces]
+    normals = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
+    smooth = np.zeros_like(vertices)
+    for corner in range(3):
+        np.add.at(smooth, (slice(None), faces[:, corner]), normals)
+    return _unit(_unit(normals) + _unit(_unit(smooth)[:, faces].mean(axis=2)))
+
+
+def _unit(normals: np.ndarray) -> np.ndarray:
+    return normals / (np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-12)

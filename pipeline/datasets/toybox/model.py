@@ -1,0 +1,32 @@
+"""What every kind of toybox object is made of: a solid, the colours of its materials, and how it is seen."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from pipeline.datasets.toybox.solids import Solid
+
+
+class Specimens(NamedTuple):
+    """A batch of random objects of one category.
+
+    Attributes:
+        solid: in the learned-frame convention: the front faces +z, up is +y, the mirror plane is x = 0; in units of its own.
+        palette: RGB reflectance in [0, 1] of each material of each object.
+        gloss: share of the surroundings that each material mirrors, range [0, 1].
+    """
+
+    solid: Solid
+    palette: Float[np.ndarray, "B M 3"]
+    gloss: Float[np.ndarray, " M"]
+
+
+def spread(rng: np.random.Generator, low: float, high: float, count: int) -> Float[np.ndarray, " B"]:
+    """Draw one uniform number per object."""
+    return rng.uniform(low, high, count)
+
+
+def vectors(x: np.ndarray | float, y: np.ndarray | float, z: np.ndarray | float) -> Float[np.ndarray, "B 3"]:
+    """Stack coordinates, of which at least one is given per object, into one vector per object."""
+    return np.stack(np.broadcast_arrays(x, y, z), axis=-1)

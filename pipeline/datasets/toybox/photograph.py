@@ -1,0 +1,77 @@
+"""Take toybox photographs: projection, light, surroundings, and the faults of small pictures."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from jaxtyping import Float, UInt8
+
+from pipeline.datasets.toybox.development import develop, shrink
+from pipeline.datasets.toybox.lighting import Lighting, choose_lighting, shade_faces
+from pipeline.datasets.toybox.model import Specimens
+from pipeline.datasets.toybox.scenery import Place, Rays, choose_places, paint_scenery
+from pipeline.datasets.toybox.solids import fit_unit_cube
+from pipeline.datasets.toybox.views import Viewpoints, choose_poses
+from pipeline.datasets.truth import GroundTruth
+from pipeline.geometry.camera import CameraConfig, Pose, project, rotation_from_angles
+from pipeline.rendering.rasterize import rasterize
+
+SCENERY_SUPERSAMPLING = 2
+
+
+@dataclass(frozen=True)
+class PhotographConfig:
+    """Size of the photographs and the camera their ground truth refers to.
+
+    Attributes:
+        size: pixels a side.
+        supersampling: rays a pixel along each axis for the object; even.
+        camera: the reference camera.
+    """
+
+    size: int
+    supersampling: int
+    camera: CameraConfig
+
+
+def photograph(
+    specimens: Specimens, viewpoints: Viewpoints, config: PhotographConfig, rng: np.random.Generator
+) -> tuple[UInt8[np.ndarray, "B H W 3"], GroundTruth]:
+    """Photograph every specimen once, each in its own light and place."""
+    vertices = fit_unit_cube(specimens.solid.vertices).astype(np.float32)
+    faces = specimens.solid.faces
+    pose = choose_poses(viewpoints, vertices, config.camera, rng)
+    place = choose_places(len(vertices), rng)
+    lighting = choose_lighting(place, rng)
+    vertices_ndc = project(torch.from_numpy(vertices), pose, config.camera)
+    index = rasterize(vertices_ndc, torch.from_numpy(faces), config.size * config.supersampling).face_index.numpy()
+    rotation = rotation_from_angles(pose.azimuth, pose.elevation, pose.roll).numpy()
+    face_colors = shade_faces(vertices, specimens, rotation[:, 2], lighting)
+    seen = face_colors[np.arange(len(index))[:, None, None], index] * (index >= 0)[..., None]
+    reduction = config.supersampling // SCENERY_SUPERSAMPLING
+    cover = shrink((index >= 0)[..., None].astype(np.float32), reduction)
+    rays = _rays(pose, rotation, config)
+    scenery = paint_scenery(place, rays, _footprint(vertices), lighting.shadow, rng)
+    scenery *= lighting.on_ground[:, None, None, None]
+    radiance = shrink(seen, reduction) + scenery * (1 - cover)
+    masks = (shrink(cover, SCENERY_SUPERSAMPLING)[..., 0] >= 0.5).astype(np.uint8)
+    images = develop(shrink(radiance, SCENERY_SUPERSAMPLING), rng)
+    return images, GroundTruth(*(values.numpy() for values in pose), masks, vertices, faces)
+
+
+def _rays(pose: Pose, rotation: Float[np.ndarray, "B 3 3"], config: PhotographConfig) -> Rays:
+    """Return the lines of sight through the pixels: the inverse of the projection."""
+    size = config.size * SCENERY_SUPERSAMPLING
+    steps = (np.arange(size, dtype=np.float32) + 0.5) / size * 2 - 1
+    x, y = np.meshgrid(steps, -steps)
+    offset = np.stack([x, y], axis=-1) - pose.center.numpy()[:, None, None]
+    plane = offset / pose.scale.numpy()[:, None, None, None] * np.tan(np.deg2rad(config.camera.field_of_view / 2))
+    directions = np.concatenate([plane, np.full((*plane.shape[:3], 1), -1.0)], axis=-1).astype(np.float32)
+    return Rays(rotation[:, 2] * config.camera.distance, np.einsum("bhwi,bij->bhwj", directions, rotation))
+
+
+def _footprint(vertices: Float[np.ndarray, "B V 3"]) -> Float[np.ndarray, "B 3"]:
+    """Return the object's half width, the height of the ground below it, and its half depth."""
+    footprint = np.abs(vertices).max(axis=1)
+    footprint[:, 1] = vertices[..., 1].min(axis=1)
+    return footprint

@@ -1,0 +1,33 @@
+"""Ground truth of pictures. It is written for evaluation and reports; no training stage can reach it."""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Int, UInt8
+
+
+class GroundTruth(NamedTuple):
+    """What is true of the pictures of one category in one split, in the conventions of `pipeline.geometry.camera.Pose`."""
+
+    azimuth: Float[np.ndarray, "B"]
+    """Radians."""
+    elevation: Float[np.ndarray, "B"]
+    """Radians."""
+    roll: Float[np.ndarray, "B"]
+    """Radians."""
+    center: Float[np.ndarray, "B 2"]
+    """Where the middle of the object's bounding box falls in the picture, in ndc."""
+    scale: Float[np.ndarray, "B"]
+    """Factor on the size that the reference camera gives."""
+    masks: UInt8[np.ndarray, "B H W"]
+    """1 where the object covers at least half of the pixel."""
+    vertices: Float[np.ndarray, "B V 3"]
+    """World space, fitted into the unit cube; the front faces +z, the mirror plane is x = 0."""
+    faces: Int[np.ndarray, "F 3"]
+    """Counter-clockwise from outside. Parts are closed and may overlap: inside is where the winding number is positive."""
+
+
+def concatenate(truths: list[GroundTruth]) -> GroundTruth:
+    """Join the ground truths of consecutive pictures, whose meshes share their faces."""
+    joined = {name: np.concatenate([getattr(truth, name) for truth in truths]) for name in GroundTruth._fields}
+    return GroundTruth(**(joined | {"faces": truths[0].faces}))
