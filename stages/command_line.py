@@ -28,8 +28,10 @@ def parse(description: str | None, **arguments: Any) -> Namespace:
 
 
 def run(main: Callable[[], None]) -> None:
-    """Run a stage; a UserError is printed as one sentence, without a traceback, and exits with status 1."""
+    """Run a stage; an error of the user is printed as one sentence, without a traceback, and exits with status 1."""
     try:
         main()
     except UserError as error:
         sys.exit(f"error: {error}")
+    except FileNotFoundError as error:
+        sys.exit(f"error: {error.filename} does not exist; run the stage that writes it first")

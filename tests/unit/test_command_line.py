@@ -33,3 +33,9 @@ def test_a_user_error_is_one_line() -> None:
     with pytest.raises(SystemExit) as caught:
         run(fail)
     assert caught.value.code == "error: data/car.npy is empty; expected pictures"
+
+
+def test_a_missing_input_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as caught:
+        run(lambda: (tmp_path / "car.npy").open())  # pyright: ignore[reportArgumentType]
+    assert str(caught.value.code).startswith(f"error: {tmp_path / 'car.npy'} does not exist; run the stage")

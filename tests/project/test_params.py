@@ -1,0 +1,72 @@
+"""Every row of the paper, at every size and under every ablation, loads into the stages' settings."""
+
+import pytest
+from ruamel.yaml import YAML
+
+from pipeline.config import load
+from pipeline.training.base_shape import BaseShapeConfig
+from pipeline.training.features import FeaturesConfig
+from pipeline.training.fine_tune import FineTuneConfig
+from pipeline.training.full import FullTrainingConfig
+from tests.project.import_closure import ROOT
+
+PATH = ROOT / "params.yaml"
+PARAMS = YAML(typ="safe").load(PATH)
+SIZES = sorted(PARAMS["sizes"])
+PAPER = {
+    "cifar10-automobile": (1200, 0.9, 4, (0.5, 0.5, 1.0), (0, 360, 1), (0, 30)),
+    "cifar10-horse": (300, 0.3, 1, (1.0, 1.0, 1.0), (0, 180, 1.5), (-10, 10)),
+    "pascal-aeroplane": (200, 0.3, 4, (1.0, 0.5, 1.0), (0, 180, 1.5), (-60, 60)),
+    "pascal-car": (800, 0.9, 4, (0.5, 0.5, 1.0), (0, 360, 1), (0, 30)),
+    "pascal-chair": (200, 0.8, 4, (1.0, 1.0, 1.0), (0, 360, 1), (0, 30)),
+}
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("row", sorted(PARAMS["rows"]))
+def test_every_row_loads_at_every_size(row: str, size: str) -> None:
+    for ablation in PARAMS["ablations"]:
+        parts = [f"rows.{row}", f"sizes.{size}", f"ablations.{ablation}"]
+        base_shape = load(PATH, BaseShapeConfig, ["learn_base_shape", *(f"{part}.learn_base_shape" for part in parts)])
+        full = load(PATH, FullTrainingConfig, ["train_full", *(f"{part}.train_full" for part in parts)])
+        assert base_shape.renderer.camera == full.model.renderer.camera, "base shapes are seen by another camera"
+        assert base_shape.renderer.size == full.model.renderer.size
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_features_and_fine_tuning_load_at_every_size(size: str) -> None:
+    assert load(PATH, FeaturesConfig, ["train_features", f"sizes.{size}.train_features"]).depth % 6 == 4
+    assert load(PATH, FineTuneConfig, ["fine_tune", f"sizes.{size}.fine_tune"]).batch_size > 0
+
+
+@pytest.mark.parametrize("row", sorted(PAPER))
+def test_rows_have_the_numbers_of_the_appendix(row: str) -> None:
+    sections = ["learn_base_shape", f"rows.{row}.learn_base_shape", "sizes.paper.learn_base_shape"]
+    config = load(PATH, BaseShapeConfig, sections)
+    iterations, balance, colors, dimensions, azimuth, elevation = PAPER[row]
+    view = config.viewpoint
+    assert (config.iterations, config.reconstruction_balance, config.colors) == (iterations, balance, colors)
+    assert config.initial_dimensions == dimensions
+    assert (view.azimuth.low, view.azimuth.high, view.azimuth.concentration) == azimuth
+    assert (view.elevation.low, view.elevation.high, view.elevation.concentration) == (*elevation, 1)
+    assert (config.batch_size, config.learning_rate, config.betas, config.seeds) == (64, 1e-4, (0.5, 0.99), 10)
+    sections = ["train_full", f"rows.{row}.train_full", "sizes.paper.train_full"]
+    full = load(PATH, FullTrainingConfig, sections)
+    assert (full.iterations, full.learning_rate, full.betas) == (10000, 1e-4, (0.5, 0.99))
+
+
+def test_each_ablation_switches_one_thing_off() -> None:
+    switched = {}
+    for ablation in PARAMS["ablations"]:
+        config = load(PATH, BaseShapeConfig, ["learn_base_shape", f"ablations.{ablation}.learn_base_shape"])
+        full = load(PATH, FullTrainingConfig, ["train_full", f"ablations.{ablation}.train_full"])
+        constraints = {name: value for name, value in vars(config.constraints).items() if not value}
+        switched[ablation] = list(constraints) + ["two_stage"] * (not full.model.two_stage)
+    assert switched == {
+        "none": [],
+        "no-smoothness": ["smoothness"],
+        "no-symmetry": ["symmetry"],
+        "no-texture-simplicity": ["texture_simplicity"],
+        "no-background-simplicity": ["background_simplicity"],
+        "single-stage": ["two_stage"],
+    }

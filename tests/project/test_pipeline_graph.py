@@ -1,0 +1,101 @@
+"""dvc.yaml says what the stages run, read and write, and nothing else does."""
+
+import re
+import shlex
+from pathlib import Path
+from typing import Any
+
+import pytest
+from ruamel.yaml import YAML
+
+from tests.project.import_closure import ROOT, code_dependencies, import_closure, stage_bodies
+
+DOCUMENT = YAML(typ="safe").load(ROOT / "dvc.yaml")
+PARAMS = YAML(typ="safe").load(ROOT / "params.yaml")
+STAGES = stage_bodies(DOCUMENT)
+TRAINING = ["train_features", "learn_base_shape", "train_full", "fine_tune"]
+CHAIN = ["prepare_data", *TRAINING[:2], "remesh", *TRAINING[2:], "evaluate", "report"]
+
+
+def _options(stage: str) -> dict[str, list[str]]:
+    options: dict[str, list[str]] = {}
+    for word in shlex.split(STAGES[stage]["cmd"].replace("${", "{"))[3:]:
+        if word.startswith("--"):
+            options[word] = []
+        else:
+            options[list(options)[-1]].append(word)
+    return options
+
+
+def _outs(stage: str) -> dict[str, dict[str, Any]]:
+    outs = STAGES[stage]["outs"]
+    return {name: flags for out in outs for name, flags in (out if isinstance(out, dict) else {out: {}}).items()}
+
+
+def test_the_chain_is_complete() -> None:
+    assert list(STAGES) == CHAIN
+
+
+@pytest.mark.parametrize("stage", CHAIN)
+def test_code_dependencies_are_the_import_closure(stage: str) -> None:
+    assert code_dependencies(STAGES[stage]) == import_closure(f"stages.{stage}"), "run `make dependencies`"
+
+
+@pytest.mark.parametrize("stage", CHAIN)
+def test_parameters_are_the_sections_read(stage: str) -> None:
+    reads_device = "scalar(" in (ROOT / "stages" / f"{stage}.py").read_text()
+    sections = [section.replace("{", "${") for section in _options(stage)["--sections"]]
+    assert sorted(STAGES[stage]["params"]) == sorted(sections + ["device"] * reads_device)
+
+
+@pytest.mark.parametrize("stage", CHAIN)
+def test_every_path_of_a_command_is_a_dependency_an_output_or_restart_state(stage: str) -> None:
+    known = [path for path in STAGES[stage]["deps"] if not path.endswith(".py")] + list(_outs(stage))
+    for option, values in _options(stage).items():
+        for path in (value.replace("{", "${") for value in values if "/" in value):
+            declared = any(path == one or path.startswith(f"{one}/") for one in known)
+            assert declared or (option == "--checkpoints" and path.startswith(".checkpoints/")), path
+
+
+@pytest.mark.parametrize("stage", CHAIN)
+def test_what_git_keeps_is_not_cached_and_stands_apart(stage: str) -> None:
+    for out, flags in _outs(stage).items():
+        in_git = re.match(r"results/(metrics|curves|tables|figures)/", out) is not None
+        assert in_git == (flags.get("cache", True) is False), out
+
+
+@pytest.mark.parametrize("stage", CHAIN)
+def test_stages_are_described_and_thin(stage: str) -> None:
+    assert STAGES[stage]["desc"]
+    assert len((ROOT / "stages" / f"{stage}.py").read_text().splitlines()) <= 70
+
+
+@pytest.mark.parametrize("stage", TRAINING)
+def test_training_never_reads_the_truth(stage: str) -> None:
+    assert "truth" not in STAGES[stage]["cmd"]
+    assert not any("truth" in dependency for dependency in STAGES[stage]["deps"])
+
+
+def test_runs_agree_with_their_rows() -> None:
+    for name, run in PARAMS["runs"].items():
+        row = PARAMS["rows"][run["row"]]
+        assert (run["dataset"], run["category"]) == (row["dataset"], row["category"]), name
+        assert run["dataset"] in PARAMS["datasets"], name
+        assert PARAMS["features"][run["features"]]["dataset"] == run["dataset"], name
+
+
+def test_no_artifact_path_stands_in_the_code() -> None:
+    pattern = re.compile(r"""["'](data|models|results)/""")
+    files = [*ROOT.glob("pipeline/**/*.py"), *ROOT.glob("stages/*.py")]
+    assert [file.relative_to(ROOT).as_posix() for file in files if pattern.search(file.read_text())] == []
+
+
+def test_the_closure_follows_imports_inside_functions(tmp_path: Path) -> None:
+    (tmp_path / "stages").mkdir()
+    (tmp_path / "pipeline" / "inner").mkdir(parents=True)
+    (tmp_path / "stages" / "work.py").write_text("import os\nfrom pipeline import first\n")
+    (tmp_path / "pipeline" / "first.py").write_text("def late():\n    from pipeline.inner.second import thing\n")
+    (tmp_path / "pipeline" / "inner" / "second.py").write_text("import pipeline.first\n")
+    (tmp_path / "pipeline" / "inner" / "unused.py").touch()
+    expected = ["pipeline/first.py", "pipeline/inner/second.py", "stages/work.py"]
+    assert import_closure("stages.work", tmp_path) == expected

@@ -1,0 +1,104 @@
+"""A copy of the project whose numbers are so small that the whole chain runs within a minute."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+
+ROOT = Path(__file__).parents[2]
+
+TINY: dict[str, Any] = {
+    "device": "cpu",
+    "prepare_data": {"toybox": {"train_count": 16, "test_count": 4, "photograph": {"supersampling": 2}}},
+    "train_features": {"depth": 10, "width": 1, "epochs": 6, "batch_size": 16, "checkpoint_every": 1},
+    "learn_base_shape": {
+        "iterations": 6,
+        "batch_size": 4,
+        "seeds": 2,
+        "subdivisions": 2,
+        "generator": {"latent_size": 8, "shape_hidden": 16, "texture_channels": 4, "texture_size": 16},
+        "score_batches": 1,
+        "checkpoint_every": 1,
+    },
+    "train_full": {
+        "iterations": 6,
+        "batch_size": 4,
+        "model": {
+            "encoder": {"width": 4, "blocks": 1},
+            "code_size": 8,
+            "texture_code_size": 8,
+            "hidden_size": 8,
+            "texture_size": 16,
+            "texture_channels": 4,
+        },
+        "discriminator_width": 4,
+        "curve_every": 1,
+        "checkpoint_every": 1,
+    },
+    "fine_tune": {
+        "batch_size": 1,
+        "background": {"steps": 2},
+        "pose": {"steps": 2},
+        "shape": {"steps": 2},
+    },
+    "evaluate": {"shape": {"voxel_resolution": 8, "surface_points": 50}, "chance_draws": 10},
+}
+
+
+def make_tiny_project(folder: Path) -> None:
+    """Copy the code and the graph, shrink the numbers and give the copy a DVC repository of its own."""
+    for package in ("pipeline", "stages"):
+        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("dvc.yaml", ".dvcignore"):
+        shutil.copy(ROOT / name, folder / name)
+    yaml = YAML(typ="safe")
+    params = yaml.load(ROOT / "params.yaml")
+    params["runs"] = {"toybox-car": params["runs"]["toybox-car"]}
+    params["features"] = {"toybox-laptop": params["features"]["toybox-laptop"]}
+    params["datasets"] = {"toybox": params["datasets"]["toybox"]}
+    params["sizes"]["laptop"] = {stage: {} for stage in params["sizes"]["laptop"]}
+    params["rows"]["toybox-car"]["learn_base_shape"].pop("iterations")
+    replace(params, TINY)
+    write_params(folder, params)
+    run(folder, "dvc", "init", "--quiet", "--no-scm")
+
+
+def replace(values: dict[str, Any], changes: Mapping[str, Any]) -> None:
+    """Replace values that exist, at any depth. Raises KeyError for one that does not."""
+    for name, change in changes.items():
+        if isinstance(change, Mapping):
+            replace(values[name], change)
+        else:
+            values[name] = type(values[name])(change) if values[name] is not None else change
+
+
+def read_params(folder: Path) -> dict[str, Any]:
+    return YAML(typ="safe").load(folder / "params.yaml")
+
+
+def write_params(folder: Path, params: dict[str, Any]) -> None:
+    YAML(typ="safe").dump(params, folder / "params.yaml")
+
+
+def run(folder: Path, *command: str) -> str:
+    """Run a command of the environment in the project; return what it prints. Fails with that where it fails."""
+    finished = subprocess.run(command, cwd=folder, env=environment(), capture_output=True, text=True, check=False)
+    assert finished.returncode == 0, f"{' '.join(command)}\n{finished.stdout}\n{finished.stderr}"
+    return finished.stdout
+
+
+def environment() -> dict[str, str]:
+    """Put this environment's programs first, and let one thread do the little work there is."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    return {**os.environ, "PATH": path, "OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1", "DVC_NO_ANALYTICS": "1"}
+
+
+def commands(folder: Path) -> dict[str, list[str]]:
+    """Return the command line of every stage, as it was run."""
+    stages = YAML(typ="safe").load(folder / "dvc.lock")["stages"]
+    return {name.split("@")[0]: stage["cmd"].split() for name, stage in stages.items()}
