@@ -24,23 +24,15 @@ from stages.command_line import parse, run
 
 def main() -> None:
     """Train on every category of the data set; write the weights, the accuracy they reach and the curve."""
-    arguments = parse(
-        __doc__,
-        images=Path,
-        test_images=Path,
-        seed=int,
-        checkpoints=Path,
-        out=Path,
-        metrics=Path,
-        curve=Path,
-    )
+    paths = dict.fromkeys(["images", "test_images", "checkpoints", "out", "metrics", "curve"], Path)
+    arguments = parse(__doc__, **paths, seed=int)
     config = load(arguments.params, FeaturesConfig, arguments.sections)
     device = resolve_device(scalar(arguments.params, "device"))
     categories = list_categories(arguments.images)
     train = load_pictures(arguments.images, categories, device)
     test = load_pictures(arguments.test_images, categories, device)
-    key = restart_key(config, [arguments.images, arguments.test_images], arguments.seed)
-    checkpoint = Checkpoint(arguments.checkpoints, key)
+    inputs = [arguments.images, arguments.test_images]
+    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed))
     network, curve = train_features(config, train, test, arguments.seed, checkpoint)
     save_feature_extractor(arguments.out, network, {"categories": " ".join(categories), "method": config.method})
     curve.write(arguments.curve)

@@ -79,7 +79,7 @@ def test_extractor_is_frozen_in_training_mode_too() -> None:
 
 def test_gradients_reach_the_images() -> None:
     images = random_images().requires_grad_()
-    sum(layer.square().mean() for layer in FeatureExtractor(trained_like())(images)).backward()
+    torch.stack([layer.square().mean() for layer in FeatureExtractor(trained_like())(images)]).sum().backward()
     assert images.grad is not None
     assert (images.grad.flatten(1).norm(dim=1) > 0).all()
 
