@@ -8,9 +8,11 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
+
+from pipeline.errors import DataError
 
 
 @contextmanager
@@ -65,10 +67,21 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[st
 
 
 def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """Load what `save_tensors` saved: the tensors on the CPU, and the texts."""
+    """Load what `save_tensors` saved: the tensors on the CPU, and the texts. Raises DataError for anything else."""
+    if not path.is_file():
+        raise DataError(f"{path} does not exist; run the stage that writes it first")
+    try:
+        return _read_tensors(path)
+    except (SafetensorError, KeyError):
+        raise DataError(
+            f"{path} is damaged or not one of this pipeline's files; run the stage that writes it"
+        ) from None
+
+
+def _read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     with safe_open(path, framework="pt") as stored:
         tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
-        return tensors, json.loads(stored.metadata()["texts"])
+        return tensors, json.loads((stored.metadata() or {})["texts"])
 
 
 def _files(folder: Path) -> list[Path]:

@@ -29,7 +29,7 @@ TINY: dict[str, Any] = {
         "iterations": 6,
         "batch_size": 4,
         "model": {
-            "encoder": {"width": 4, "blocks": 1},
+            "encoder": {"width": 8, "blocks": 1},
             "code_size": 8,
             "texture_code_size": 8,
             "hidden_size": 8,

@@ -3,8 +3,10 @@
 from pathlib import Path
 
 import pytest
+import safetensors.torch
 import torch
 
+from pipeline.errors import DataError
 from pipeline.files import atomic_path, load_tensors, read_json, save_tensors, sha256, write_json
 
 
@@ -68,6 +70,18 @@ def test_tensors_come_back(tmp_path: Path) -> None:
     for name, tensor in tensors.items():
         assert torch.equal(loaded[name], tensor)
         assert loaded[name].dtype == tensor.dtype
+
+
+@pytest.mark.parametrize("damage", ["missing", "truncated", "foreign"])
+def test_a_file_that_holds_no_tensors_is_named(tmp_path: Path, damage: str) -> None:
+    path = tmp_path / "a.safetensors"
+    if damage == "foreign":
+        safetensors.torch.save_file({"a": torch.ones(9)}, path)
+    if damage == "truncated":
+        save_tensors(path, {"a": torch.ones(9)}, {})
+        path.write_bytes(path.read_bytes()[:-8])
+    with pytest.raises(DataError, match=r"a\.safetensors .*; run the stage that writes it"):
+        load_tensors(path)
 
 
 def test_equal_tensors_are_equal_bytes(tmp_path: Path) -> None:
