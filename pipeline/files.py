@@ -67,7 +67,7 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[st
 
 
 def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """Load what `save_tensors` saved: the tensors on the CPU, and the texts. Raises DataError for anything else."""
+    """Load what `save_tensors` saved: tensors on the CPU, and texts. Raises DataError for any other file."""
     if not path.is_file():
         raise DataError(f"{path} does not exist; run the stage that writes it first")
     try:
