@@ -1,27 +1,40 @@
 """Read a dataset from wherever it comes."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
+from pipeline.datasets.cifar10 import Cifar10Config, read_cifar10
+from pipeline.datasets.folder import FolderConfig, read_folder
 from pipeline.datasets.prepared import Dataset
 from pipeline.datasets.toybox.toybox import ToyboxConfig, make_toybox
 
 
 @dataclass(frozen=True)
 class PrepareConfig:
-    """Say where pictures come from and what is made of them.
+    """Say where pictures come from and what becomes of them.
 
     Attributes:
-        kind: what the source is.
-        source: path of the source.
-        toybox: used by the kind `toybox`, which makes its pictures itself.
+        kind: what the source is; the section of the same name says what becomes of it.
+        source: path of the folder or archive; for the toybox, of the code that makes it.
+        toybox: pictures that are made.
+        cifar10: the official archive.
+        folder: photographs in a folder or archive.
     """
 
-    kind: Literal["toybox"]
+    kind: Literal["toybox", "cifar10", "folder"]
     source: str
     toybox: ToyboxConfig
+    cifar10: Cifar10Config
+    folder: FolderConfig
 
 
 def prepare(config: PrepareConfig) -> Dataset:
     """Read the whole dataset. Raises DataError, naming file and remedy, for anything that cannot be used."""
-    return make_toybox(config.toybox)
+    match config.kind:
+        case "toybox":
+            return make_toybox(config.toybox)
+        case "cifar10":
+            return read_cifar10(Path(config.source), config.cifar10)
+        case "folder":
+            return read_folder(Path(config.source), config.folder)

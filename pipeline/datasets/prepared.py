@@ -11,6 +11,9 @@ from pipeline.datasets.truth import GroundTruth
 from pipeline.files import atomic_path, write_json
 
 
+SPLITS = ("train", "test")
+
+
 class Dataset(NamedTuple):
     """Pictures in the splits `train` and `test`, by category, and the ground truth of those that have one.
 

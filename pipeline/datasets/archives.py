@@ -1,0 +1,75 @@
+"""Read trees of files from a folder or an archive, without unpacking anything."""
+
+import lzma
+import tarfile
+import zipfile
+import zlib
+from collections.abc import Iterator
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+
+from pipeline.errors import DataError
+
+DAMAGE = (tarfile.TarError, zipfile.BadZipFile, lzma.LZMAError, zlib.error, EOFError, OSError)
+"""What the readers of archives raise when bytes are missing or wrong."""
+
+
+class Entry(NamedTuple):
+    """One file or folder of a tree."""
+
+    name: PurePosixPath
+    """Path inside the tree."""
+    content: bytes | None
+    """What the file holds; None for a folder."""
+
+
+def read_tree(path: Path) -> Iterator[Entry]:
+    """Yield every entry of a folder, a zip or a tar (plain, gz, bz2, xz), in the order it is stored.
+
+    Raises DataError if the source is missing, truncated or damaged, or holds an entry that points outside of it: an absolute path, a
+    path with `..`, a link or a device.
+    """
+    if path.is_dir():
+        yield from _read_folder(path)
+        return
+    if not path.is_file():
+        raise DataError(f"{path} does not exist; expected a folder or a tar or zip archive")
+    try:
+        if zipfile.is_zipfile(path):
+            yield from _read_zip(path)
+        else:
+            yield from _read_tar(path)
+    except DAMAGE as error:
+        raise DataError(f"{path} is not a complete tar or zip archive ({error}); download or copy it again") from None
+
+
+def _read_folder(path: Path) -> Iterator[Entry]:
+    for entry in sorted(path.rglob("*")):
+        name = PurePosixPath(entry.relative_to(path).as_posix())
+        yield Entry(name, entry.read_bytes() if entry.is_file() else None)
+
+
+def _read_zip(path: Path) -> Iterator[Entry]:
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            name = _inside(path, member.filename)
+            if (member.external_attr >> 16) & 0o170000 == 0o120000:
+                raise DataError(f"{path}: '{member.filename}' is a link; expected only files and folders")
+            yield Entry(name, None if member.is_dir() else archive.read(member))
+
+
+def _read_tar(path: Path) -> Iterator[Entry]:
+    with tarfile.open(path, "r|*") as archive:
+        for member in archive:
+            name = _inside(path, member.name)
+            if not (member.isfile() or member.isdir()):
+                raise DataError(f"{path}: '{member.name}' is a link or a device; expected only files and folders")
+            stream = archive.extractfile(member)
+            yield Entry(name, stream.read() if stream else None)
+
+
+def _inside(path: Path, name: str) -> PurePosixPath:
+    inside = PurePosixPath(name.replace("\\", "/"))
+    if inside.is_absolute() or ".." in inside.parts or name[1:2] == ":":
+        raise DataError(f"{path}: '{name}' points outside of the archive; expected only paths below its root")
+    return inside

@@ -1,0 +1,55 @@
+"""Turn the bytes of a picture into an array of the wanted size."""
+
+import io
+from typing import Literal
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image, ImageOps, UnidentifiedImageError
+
+from pipeline.errors import DataError
+
+Fit = Literal["crop", "pad"]
+"""How a picture becomes square.
+
+`crop` brings its short side to the wanted size and cuts the long side to the middle; `pad` brings its long side to that size and continues
+the border pixels along the short one.
+"""
+
+
+def decode(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, "size size 3"]:
+    """Decode an RGB picture (JPEG, PNG, ...), turned upright as its EXIF data says.
+
+    Pictures are made smaller, never larger. Raises DataError, naming the picture, if it cannot be read to its end, is not RGB, or is too
+    small.
+    """
+    try:
+        picture = ImageOps.exif_transpose(Image.open(io.BytesIO(content)))
+        picture.load()
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+        raise DataError(f"{name} cannot be read as a picture ({error}); replace or remove it") from None
+    if picture.mode != "RGB":
+        raise DataError(f"{name} has the colour mode {picture.mode}; expected RGB with 8 bits a channel; convert or remove it")
+    side = min(picture.size) if fit == "crop" else max(picture.size)
+    if side < size:
+        which = "short" if fit == "crop" else "long"
+        raise DataError(f"{name} is {picture.width}x{picture.height} px; expected at least {size} px along the {which} side")
+    return _square(np.asarray(_scaled(picture, size / side)), size)
+
+
+def _scaled(picture: Image.Image, factor: float) -> Image.Image:
+    width, height = (max(1, round(side * factor)) for side in picture.size)
+    return picture.resize((width, height), Image.Resampling.LANCZOS, reducing_gap=3.0)
+
+
+def _square(pixels: UInt8[np.ndarray, "H W 3"], size: int) -> UInt8[np.ndarray, "size size 3"]:
+    for axis in (0, 1):
+        missing = size - pixels.shape[axis]
+        if missing < 0:
+            start = -missing // 2
+            pixels = pixels.take(range(start, start + size), axis)
+        if missing > 0:
+            padding = [(0, 0), (0, 0), (0, 0)]
+            padding[axis] = (missing // 2, missing - missing // 2)
+            pixels = np.pad(pixels, padding, mode="edge")
+    return pixels
