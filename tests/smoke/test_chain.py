@@ -1,0 +1,105 @@
+"""The whole chain at toy size, driven the way a user drives it."""
+
+import json
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.smoke.tiny_project import commands, environment, make_tiny_project, read_params, run, write_params
+
+pytestmark = pytest.mark.slow
+
+TRAINING = ["train_features", "learn_base_shape", "train_full", "fine_tune"]
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Run `dvc repro` once, from nothing to the report."""
+    folder = tmp_path_factory.mktemp("project")
+    make_tiny_project(folder)
+    run(folder, "dvc", "repro")
+    return folder
+
+
+def _stages_run(printed: str) -> list[str]:
+    return [line.split("'")[1].split("@")[0] for line in printed.splitlines() if line.startswith("Running stage")]
+
+
+def _outputs(folder: Path, stage: str) -> list[Path]:
+    return [folder / word for word in commands(folder)[stage] if word.startswith(("models/", "results/"))]
+
+
+def test_the_chain_ends_with_metrics_and_a_page(project: Path) -> None:
+    metrics = json.loads((project / "results/metrics/toybox-car.json").read_text())
+    assert {"acc_pi6", "n"} <= set(json.dumps(metrics).replace('"', " ").split())
+    page = (project / "results/report/toybox-car/index.html").read_text()
+    assert "toybox-car" in page
+    assert "http" not in page.replace("http://www.w3.org/", "")
+
+
+def test_a_second_run_does_nothing(project: Path) -> None:
+    assert _stages_run(run(project, "dvc", "repro")) == []
+    assert json.loads(run(project, "dvc", "status", "--json")) == {}
+
+
+def test_restart_state_is_gone_when_a_stage_is_done(project: Path) -> None:
+    assert [path for path in (project / ".checkpoints").rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.parametrize("stage", TRAINING)
+def test_a_killed_training_resumes_to_the_same_bytes(project: Path, stage: str, tmp_path: Path) -> None:
+    """Kill the stage as soon as there is restart state, run it again and compare with the undisturbed run."""
+    command = commands(project)[stage]
+    written = {word: tmp_path / word for option, word in zip(command, command[1:], strict=False) if _writes(option)}
+    checkpoints = tmp_path / "checkpoints"
+    command = [str(written.get(word, word)) for word in command]
+    command[command.index("--checkpoints") + 1] = str(checkpoints)
+
+    process = subprocess.Popen(command, cwd=project, env=environment(), stderr=subprocess.PIPE)
+    while process.poll() is None and not (checkpoints / "state.safetensors").exists():
+        time.sleep(0.002)
+    process.send_signal(signal.SIGKILL)
+    _, errors = process.communicate()
+    assert process.returncode == -signal.SIGKILL, errors.decode()
+    assert not any(path.exists() for path in written.values())
+    assert (checkpoints / "state.safetensors").exists()
+
+    run(project, *command)
+    for word, path in written.items():
+        assert path.read_bytes() == (project / word).read_bytes(), word
+
+
+def _writes(option: str) -> bool:
+    return option in ("--out", "--metrics", "--curve")
+
+
+def test_a_stage_runs_alone_and_writes_the_same_bytes(project: Path) -> None:
+    outputs = _outputs(project, "remesh")[-2:]
+    before = [path.read_bytes() for path in outputs]
+    assert _stages_run(run(project, "dvc", "repro", "--single-item", "--force", "remesh@toybox-car")) == ["remesh"]
+    assert [path.read_bytes() for path in outputs] == before
+
+
+def test_a_changed_number_runs_what_depends_on_it(project: Path) -> None:
+    params = read_params(project)
+    params["fine_tune"]["pose"]["steps"] += 1
+    write_params(project, params)
+    assert _stages_run(run(project, "dvc", "repro")) == ["fine_tune", "evaluate", "report"]
+
+
+def test_a_misspelt_number_is_one_sentence_and_nothing_is_written(project: Path, tmp_path: Path) -> None:
+    params = read_params(project)
+    params["remesh"]["targt"] = 3
+    write_params(tmp_path, params)
+    command = commands(project)["remesh"]
+    out = tmp_path / "mesh.safetensors"
+    command[command.index("--params") + 1] = str(tmp_path / "params.yaml")
+    command[command.index("--out") + 1] = str(out)
+    finished = subprocess.run(command, cwd=project, env=environment(), capture_output=True, text=True, check=False)
+    assert finished.returncode == 1
+    assert finished.stderr.count("\n") == 1
+    assert "unknown key 'remesh.targt'" in finished.stderr
+    assert list(tmp_path.iterdir()) == [tmp_path / "params.yaml"]
