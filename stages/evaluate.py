@@ -41,16 +41,17 @@ def main() -> None:
         model, _ = load_tensors(arguments.model)
         mesh, _ = load_tensors(arguments.mesh)
         base_shape, _ = load_tensors(arguments.base_shape)
+        visited = model["train_visits"].nonzero().flatten()
         learned = Learned(
             reconstructions,
-            pose_from_tensor(model["train_pose"]),
+            pose_from_tensor(model["train_pose"][visited]),
             mesh["vertices"],
             mesh["faces"],
             base_shape["seed_vertices"],
             base_shape["faces"],
             load_full_model(arguments.model, torch.device("cpu")).config.renderer,
         )
-        test = select(test, reconstructions.test_index)
+        test, training = select(test, reconstructions.test_index), select(training, visited)
         more_figures, more_columns = evaluate_truth(learned, training, test, config)
         figures, table = figures | more_figures, table | more_columns
     write_json(arguments.out, figures)

@@ -45,7 +45,7 @@ class Learned(NamedTuple):
     """What the chain learned, all in the learned frame.
 
     Attributes:
-        training_pose: recorded best pose of each training picture, in the order of the training split.
+        training_pose: recorded best poses of the training pictures whose truth is given.
         base: base shape after remeshing, with its faces.
         seeds: base shapes of all seeds, with theirs.
         renderer: camera and size of the reconstructions, for their masks.

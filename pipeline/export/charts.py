@@ -1,0 +1,122 @@
+"""Charts as inline SVG that follows the page's colours: class `series-0` to `series-7` and `axis`, `grid`, `guide`."""
+
+import math
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import NamedTuple
+
+WIDTH, HEIGHT = 420, 260
+LEFT, RIGHT, TOP, BOTTOM = 56, 12, 12, 44
+
+Point = tuple[float, float]
+
+
+class Axis(NamedTuple):
+    """The range of one axis, where its ticks are, and what it shows."""
+
+    low: float
+    high: float
+    ticks: Sequence[float]
+    label: str
+
+
+def spanning_axis(values: Sequence[float], label: str) -> Axis:
+    """Choose an axis over all values whose about five ticks are round numbers and whose ends are ticks."""
+    low, high = min(values), max(values)
+    span = high - low or abs(high) or 1.0
+    magnitude = 10 ** math.floor(math.log10(span / 5))
+    step = next(factor * magnitude for factor in (1, 2, 2.5, 5, 10) if factor * magnitude * 5 >= span)
+    first, last = math.floor(low / step + 1e-9), math.ceil(high / step - 1e-9)
+    last = max(last, first + 1)
+    return Axis(first * step, last * step, [index * step for index in range(first, last + 1)], label)
+
+
+def line_chart(series: Mapping[str, Sequence[Point]], x_label: str, y_label: str) -> str:
+    """Draw one line for each named series; a legend is drawn for two or more."""
+    points = [point for line in series.values() for point in line]
+    x_axis = spanning_axis([x for x, _ in points], x_label)
+    y_axis = spanning_axis([y for _, y in points], y_label)
+    lines = []
+    for index, line in enumerate(series.values()):
+        path = " ".join(f"{_x(x, x_axis):.1f},{_y(y, y_axis):.1f}" for x, y in line)
+        lines.append(f'<polyline class="series-{index % 8}" points="{path}"/>')
+    return _chart(x_axis, y_axis, lines, list(series) if len(series) > 1 else [])
+
+
+def histogram(groups: Mapping[str, Sequence[float]], edges: Sequence[float], x_axis: Axis) -> str:
+    """Draw the share of each group's values between neighbouring edges, groups side by side."""
+    shares = {name: _shares(values, edges) for name, values in groups.items()}
+    y_axis = spanning_axis([0.0, *(share for group in shares.values() for share in group)], "share of pictures")
+    bars = []
+    for index, group in enumerate(shares.values()):
+        for low, high, share in zip(edges[:-1], edges[1:], group, strict=True):
+            width = (_x(high, x_axis) - _x(low, x_axis)) * 0.9 / len(shares)
+            left = _x(low, x_axis) + index * width
+            top = _y(share, y_axis)
+            bars.append(
+                f'<rect class="bar series-{index}" x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" '
+                f'height="{_y(0, y_axis) - top:.1f}"/>'
+            )
+    return _chart(x_axis, y_axis, bars, list(groups))
+
+
+def scatter(points: Sequence[Point], guides: Mapping[str, Sequence[Sequence[Point]]], axes: tuple[Axis, Axis]) -> str:
+    """Draw points over named guides, each a set of straight lines."""
+    x_axis, y_axis = axes
+    marks = [
+        f'<line class="guide series-{index + 1}" x1="{_x(start[0], x_axis):.1f}" y1="{_y(start[1], y_axis):.1f}" '
+        f'x2="{_x(end[0], x_axis):.1f}" y2="{_y(end[1], y_axis):.1f}"/>'
+        for index, lines in enumerate(guides.values())
+        for start, end in lines
+    ]
+    marks += [
+        f'<circle class="dot series-0" cx="{_x(x, x_axis):.1f}" cy="{_y(y, y_axis):.1f}" r="2.5"/>' for x, y in points
+    ]
+    return _chart(x_axis, y_axis, marks, ["pictures", *guides])
+
+
+def _shares(values: Sequence[float], edges: Sequence[float]) -> list[float]:
+    counts = [0] * (len(edges) - 1)
+    for value in values:
+        inside = [index for index, low in enumerate(edges[:-1]) if value >= low]
+        counts[inside[-1]] += 1
+    return [count / len(values) for count in counts]
+
+
+def _chart(x_axis: Axis, y_axis: Axis, marks: Sequence[str], names: Sequence[str]) -> str:
+    legend = "".join(
+        f'<span class="key"><i class="swatch series-{index % 8}"></i>{escape(name)}</span>'
+        for index, name in enumerate(names)
+    )
+    label = escape(f"{y_axis.label} over {x_axis.label}", quote=True)
+    drawing = "".join([*_grid(x_axis, y_axis), *marks])
+    svg = f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}">{drawing}</svg>'
+    return f'<div class="chart">{svg}<div class="legend">{legend}</div></div>'
+
+
+def _grid(x_axis: Axis, y_axis: Axis) -> list[str]:
+    bottom, right, middle = HEIGHT - BOTTOM, WIDTH - RIGHT, (TOP + HEIGHT - BOTTOM) / 2
+    parts = []
+    for tick in y_axis.ticks:
+        y = _y(tick, y_axis)
+        parts.append(f'<line class="grid" x1="{LEFT}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}"/>')
+        parts.append(f'<text class="tick" x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{tick:.6g}</text>')
+    for tick in x_axis.ticks:
+        x = _x(tick, x_axis)
+        parts.append(f'<text class="tick" x="{x:.1f}" y="{bottom + 16}" text-anchor="middle">{tick:.6g}</text>')
+    parts.append(f'<line class="axis" x1="{LEFT}" x2="{right}" y1="{bottom}" y2="{bottom}"/>')
+    x_middle = (LEFT + right) / 2
+    parts.append(
+        f'<text class="name" x="{x_middle}" y="{HEIGHT - 8}" text-anchor="middle">{escape(x_axis.label)}</text>'
+    )
+    turned = f'transform="rotate(-90 14 {middle})"'
+    parts.append(f'<text class="name" x="14" y="{middle}" text-anchor="middle" {turned}>{escape(y_axis.label)}</text>')
+    return parts
+
+
+def _x(value: float, axis: Axis) -> float:
+    return LEFT + (value - axis.low) / (axis.high - axis.low) * (WIDTH - LEFT - RIGHT)
+
+
+def _y(value: float, axis: Axis) -> float:
+    return HEIGHT - BOTTOM - (value - axis.low) / (axis.high - axis.low) * (HEIGHT - TOP - BOTTOM)

@@ -1,0 +1,49 @@
+"""Pictures as PNG: files for figures, and text that stands inside a page."""
+
+import base64
+import io
+from pathlib import Path
+
+import torch
+from jaxtyping import Float
+from PIL import Image
+from torch import Tensor
+
+from pipeline.files import atomic_path
+
+
+def tile(rows: Float[Tensor, "R K C H W"], gap: int, shade: float) -> Float[Tensor, "C height width"]:
+    """Lay pictures out as rows and columns, `gap` pixels of one shade of grey between and around them."""
+    count_rows, count_columns, channels, height, width = rows.shape
+    sheet = torch.full(
+        (channels, count_rows * (height + gap) + gap, count_columns * (width + gap) + gap), shade, dtype=rows.dtype
+    )
+    for row in range(count_rows):
+        for column in range(count_columns):
+            top, left = gap + row * (height + gap), gap + column * (width + gap)
+            sheet[:, top : top + height, left : left + width] = rows[row, column]
+    return sheet
+
+
+def strip(pictures: Float[Tensor, "K C H W"]) -> Float[Tensor, "C H width"]:
+    """Put pictures side by side without gaps."""
+    return torch.cat(list(pictures), dim=-1)
+
+
+def encode_png(picture: Float[Tensor, "C H W"]) -> bytes:
+    """Encode a picture of 3 (RGB) or 4 (RGB and opacity) channels in [0, 1]; the same picture gives the same bytes."""
+    pixels = (picture.clamp(0, 1) * 255).round().byte().permute(1, 2, 0).contiguous().numpy()
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, "PNG", optimize=True)
+    return stream.getvalue()
+
+
+def data_uri(picture: Float[Tensor, "C H W"]) -> str:
+    """Encode a picture as the address of an `img` element, so that the page needs no file beside it."""
+    return "data:image/png;base64," + base64.b64encode(encode_png(picture)).decode()
+
+
+def write_png(path: Path, picture: Float[Tensor, "C H W"]) -> None:
+    """Write a picture as PNG, atomically."""
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(encode_png(picture))

@@ -1,0 +1,109 @@
+"""The report of a run: one HTML page to open from disk, and figures of renderings alone."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from pipeline.evaluation.artifacts import Reconstructions
+from pipeline.export.picture import tile, write_png
+from pipeline.export.report_metrics import curve_section, headline, metrics_section, pose_section
+from pipeline.export.report_page import Section, page
+from pipeline.export.report_pictures import Gallery, base_shape_section, example_section, turn_section
+from pipeline.export.views import ViewConfig, on_white
+from pipeline.files import atomic_path
+from pipeline.geometry.camera import CameraConfig
+from pipeline.seeding import generator
+
+
+@dataclass(frozen=True)
+class ReportConfig:
+    """What the page shows.
+
+    Attributes:
+        seed: of the random choice of examples.
+        examples: random pictures shown, and as many of the best.
+        turntables: of the examples, how many are shown as turntables and in 50-degree steps.
+        frames: renderings in one turn of a turntable.
+        other_view: turn in degrees from the estimated view to the other view of an example.
+        view: size and elevation of renderings.
+    """
+
+    seed: int
+    examples: int
+    turntables: int
+    frames: int
+    other_view: float
+    view: ViewConfig
+
+
+class ReportInputs(NamedTuple):
+    """What the chain produced.
+
+    Attributes:
+        figures: of `evaluate`.
+        stage_figures: metrics of the other stages, by the stage's name.
+        curves: columns of each training's curve, by the stage's name.
+        table: one row a picture, as `evaluate` wrote it.
+        seeds: base shapes of all seeds, with their faces and scores; the lowest score was chosen.
+    """
+
+    run: str
+    photographs: Float[Tensor, "B 3 H W"]
+    reconstructions: Reconstructions
+    seeds: Float[Tensor, "S V 3"]
+    seed_faces: Int[Tensor, "F 3"]
+    seed_scores: Float[Tensor, " S"]
+    camera: CameraConfig
+    figures: Mapping[str, Any]
+    stage_figures: Mapping[str, Mapping[str, Any]]
+    curves: Mapping[str, Mapping[str, list[str]]]
+    table: Mapping[str, list[str]]
+
+
+def write_report(inputs: ReportInputs, config: ReportConfig, page_folder: Path, figure_folder: Path) -> None:
+    """Write `index.html` to one folder and figures without photographs to another, each folder whole or not at all."""
+    best, random = choose_examples(inputs, config)
+    gallery = Gallery(inputs.reconstructions, inputs.photographs, inputs.camera, config.view)
+    seeds = gallery.seed_views(inputs.seeds, inputs.seed_faces)
+    sections = [
+        base_shape_section(seeds, inputs.seed_scores),
+        example_section("best", "Best reconstructions", gallery, best, inputs.table, config.other_view),
+        example_section("random", "Random reconstructions", gallery, random, inputs.table, config.other_view),
+        turn_section(gallery, random[: config.turntables], config.frames),
+        *pose_section(inputs.figures, inputs.table),
+        curve_section(inputs.curves),
+        metrics_section(inputs.figures, inputs.stage_figures),
+    ]
+    write_page(page_folder, inputs, sections)
+    with atomic_path(figure_folder) as folder:
+        folder.mkdir()
+        write_png(folder / "base_shapes.png", tile(on_white(seeds), gap=4, shade=1.0))
+        chosen = torch.cat([best, random])
+        write_png(folder / "reconstructions.png", tile(gallery.renderings(chosen, config.other_view), gap=2, shade=1.0))
+        steps = torch.stack([gallery.steps(index) for index in random[: config.turntables].tolist()])
+        write_png(folder / "steps.png", tile(on_white(steps), gap=2, shade=1.0))
+
+
+def choose_examples(inputs: ReportInputs, config: ReportConfig) -> tuple[Int[Tensor, " K"], Int[Tensor, " K"]]:
+    """Choose the pictures reconstructed best, by feature distance after fine-tuning, and others at random."""
+    distance = torch.tensor([float(value) for value in inputs.table["feature_distance_tuned"]])
+    order = torch.randperm(len(distance), generator=generator(config.seed, "report examples"))
+    return distance.argsort(stable=True)[: config.examples], order[: config.examples]
+
+
+def write_page(folder: Path, inputs: ReportInputs, sections: Sequence[Section]) -> None:
+    """Write the page into its folder."""
+    count, training = len(inputs.photographs), inputs.figures.get("alignment")
+    truth = " Viewpoints and shapes are compared with the ground truth." if training else ""
+    introduction = (
+        f"What the chain learned from unlabelled photographs of one category, seen on {count} test pictures.{truth}"
+    )
+    text = page(f"Run {inputs.run}", introduction, headline(inputs.figures), sections)
+    with atomic_path(folder) as temporary:
+        temporary.mkdir()
+        (temporary / "index.html").write_text(text, encoding="utf-8", newline="\n")

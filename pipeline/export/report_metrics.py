@@ -1,0 +1,144 @@
+"""The report's sections of numbers: headline, poses, curves, tables."""
+
+from collections.abc import Mapping
+from html import escape
+from typing import Any
+
+from pipeline.evaluation.tables import figure_rows
+from pipeline.export.charts import Axis, histogram, line_chart, scatter
+from pipeline.export.report_page import Section, Tile, figure_cell, folded, grid, table
+
+BASELINES = ("chance", "constant")
+ROW_NAMES = {"test": "test", "test_tuned": "test, fine-tuned", "train": "train, recorded best", "base": "base shape"}
+ANGLE_TICKS = (-180, -90, 0, 90, 180)
+
+
+def headline(figures: Mapping[str, Any]) -> list[Tile]:
+    """Choose the figures a reader looks for first, each with what to compare it to."""
+    reconstruction = figures["reconstruction"]
+    before, after = (reconstruction[stage]["feature_distance"]["value"] for stage in ("predicted", "tuned"))
+    improved = reconstruction["improved"]
+    tiles = [
+        Tile(f"{improved['value']:.1%}", "improved by fine-tuning", f"feature distance {before:.3f} → {after:.3f}"),
+        Tile(
+            f"{reconstruction['tuned']['ssim']['value']:.3f}",
+            "structural similarity",
+            f"{reconstruction['predicted']['ssim']['value']:.3f} before fine-tuning",
+        ),
+    ]
+    if "pose" not in figures:
+        return tiles
+    pose, shape = figures["pose"], figures["shape"]
+    baselines = f"chance {pose['chance']['acc_pi6']:.3f} · constant {pose['constant']['acc_pi6']:.3f}"
+    return [
+        Tile(_with_error(pose["test"], "acc_pi6"), "poses within 30°", f"{baselines} · n = {pose['test']['n']}"),
+        Tile(
+            _with_error(shape["base"]["voxel_iou"]),
+            "volume overlap (IoU) of the base shape",
+            f"mean true shape {shape['constant']['voxel_iou']['value']:.3f}",
+        ),
+        Tile(
+            _with_error(shape["test"]["mask_iou"]),
+            "mask overlap (IoU)",
+            f"constant mask {shape['constant']['mask_iou']['value']:.3f}",
+        ),
+        *tiles,
+    ]
+
+
+def pose_section(figures: Mapping[str, Any], rows: Mapping[str, list[str]]) -> list[Section]:
+    """Show poses and shapes against the truth; nothing where there is none."""
+    if "pose" not in figures:
+        return []
+    errors = {
+        name: [float(value) for value in rows[f"rotation_error_{stage}"]]
+        for name, stage in (("predicted", "predicted"), ("fine-tuned", "tuned"))
+    }
+    angle = Axis(0, 180, range(0, 181, 30), "rotation error in degrees")
+    charts = [histogram(errors, range(0, 181, 10), angle), azimuth_chart(rows)]
+    introduction = (
+        "A pose counts as right within 30 degrees of rotation. The learned frame is turned about the vertical axis by "
+        f"{figures['alignment']['degrees']:.0f} degrees to fit the true poses of the training split. Chance guesses "
+        "the azimuth; the constant is the one pose that suits the training split best."
+    )
+    body = grid("charts", charts) + pose_table(figures["pose"]) + "<h3>Shapes</h3>" + shape_table(figures["shape"])
+    return [Section("poses", "Poses and shapes", introduction, body)]
+
+
+def azimuth_chart(rows: Mapping[str, list[str]]) -> str:
+    """Plot estimated over true azimuth: right ones lie on the diagonal, each kind of mistake on a line of its own."""
+    truth = [(float(value) + 180) % 360 - 180 for value in rows["truth_azimuth"]]
+    estimates = [float(value) for value in rows["azimuth_predicted"]]
+    guides = {
+        "correct": [((-180, -180), (180, 180))],
+        "flipped": [((-180, 0), (0, 180)), ((0, -180), (180, 0))],
+        "mirrored": [((-180, 180), (180, -180))],
+        "front for back": [((-180, 0), (0, -180)), ((0, 180), (180, 0))],
+    }
+    axes = Axis(-180, 180, ANGLE_TICKS, "true azimuth in degrees"), Axis(-180, 180, ANGLE_TICKS, "predicted azimuth")
+    return scatter(list(zip(truth, estimates, strict=True)), guides, axes)
+
+
+def pose_table(pose: Mapping[str, Any]) -> str:
+    """Lay out one row for each split, chance and constant last."""
+    modes = ("flipped", "mirrored", "front_back", "other", "seen_side", "front_or_side")
+    header = ["poses", "within 30°", "median error", *(mode.replace("_", " ") for mode in modes), "n"]
+    rows = []
+    for name in (*ROW_NAMES, *BASELINES):
+        if name in pose:
+            figures = pose[name]
+            median = figure_cell(figures["median_error_degrees"], digits=1)
+            cells = [figure_cell(figures.get(mode)) for mode in modes]
+            rows.append([ROW_NAMES.get(name, name), figure_cell(figures, "acc_pi6"), median, *cells, str(figures["n"])])
+    return table(header, rows, BASELINES)
+
+
+def shape_table(shape: Mapping[str, Any]) -> str:
+    """Lay out one row for each kind of shape, the constant last."""
+    columns = ("voxel_iou", "chamfer_l1", "mask_iou")
+    rows = [
+        [ROW_NAMES.get(name, name), *(figure_cell(shape[name].get(column)) for column in columns)]
+        for name in (*ROW_NAMES, *BASELINES)
+        if name in shape
+    ]
+    return table(["shapes", "volume IoU", "Chamfer-L1", "mask IoU"], rows, BASELINES)
+
+
+def curve_section(curves: Mapping[str, Mapping[str, list[str]]]) -> Section:
+    """Plot every column of every stage's curve over the iteration, one line for each seed where there are several."""
+    parts = []
+    for stage, columns in curves.items():
+        names = [name for name in columns if name not in ("iteration", "seed")]
+        charts = [line_chart(seed_lines(columns, name), "iteration", name.replace("_", " ")) for name in names]
+        parts.append(f"<h3>{escape(stage)}</h3>{grid('charts', charts)}")
+    return Section("curves", "Training curves", "Losses and accuracies as recorded during training.", "".join(parts))
+
+
+def seed_lines(columns: Mapping[str, list[str]], name: str) -> dict[str, list[tuple[float, float]]]:
+    """Split one column into the lines of its seeds."""
+    seeds = columns.get("seed", [""] * len(columns["iteration"]))
+    lines: dict[str, list[tuple[float, float]]] = {}
+    for seed, iteration, value in zip(seeds, columns["iteration"], columns[name], strict=True):
+        lines.setdefault(f"seed {seed}", []).append((float(iteration), float(value)))
+    return lines
+
+
+def metrics_section(figures: Mapping[str, Any], stage_figures: Mapping[str, Mapping[str, Any]]) -> Section:
+    """List every figure of the chain, stage by stage."""
+    reconstruction = figures["reconstruction"]
+    rows = [
+        [name, *(figure_cell(reconstruction[stage][column]) for column in ("feature_distance", "psnr", "ssim"))]
+        for name, stage in (("reconstruction", "predicted"), ("fine-tuned", "tuned"))
+    ]
+    body = table(["pictures", "feature distance", "PSNR (dB)", "SSIM"], rows)
+    for name, values in {**stage_figures, "evaluate": figures}.items():
+        lines = [
+            [escape(label), f"{value:.5g}", "" if error is None else f"{error:.2g}", "" if n is None else str(n)]
+            for label, value, error, n in figure_rows(values)
+        ]
+        body += folded(name, table(["figure", "value", "standard error", "n"], lines))
+    return Section("metrics", "All figures", "Every figure the stages wrote.", body)
+
+
+def _with_error(figure: Mapping[str, Any], key: str = "value") -> str:
+    return f"{figure[key]:.3f} ± {figure['standard_error']:.3f}"

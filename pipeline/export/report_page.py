@@ -1,0 +1,100 @@
+"""Pieces of the report page as HTML text: headline tiles, tables, pictures, turntables and the page around them."""
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from typing import Any, NamedTuple
+
+from pipeline.export.report_style import SCRIPT, STYLE
+
+
+class Section(NamedTuple):
+    """A part of the page that its table of contents names."""
+
+    anchor: str
+    heading: str
+    introduction: str
+    body: str
+
+
+class Tile(NamedTuple):
+    """A headline figure with what to compare it to."""
+
+    value: str
+    label: str
+    note: str
+
+
+def page(title: str, introduction: str, tiles: Sequence[Tile], sections: Sequence[Section]) -> str:
+    """Compose a page that needs nothing beside it: style, script and pictures stand inside."""
+    links = "".join(f'<a href="#{section.anchor}">{escape(section.heading)}</a>' for section in sections)
+    heads = "".join(
+        f'<div class="tile"><b>{escape(tile.value)}</b><span>{escape(tile.label)}</span>'
+        f"<small>{escape(tile.note)}</small></div>"
+        for tile in tiles
+    )
+    parts = "".join(
+        f'<section id="{section.anchor}"><h2>{escape(section.heading)}</h2>'
+        f"<p>{escape(section.introduction)}</p>{section.body}</section>"
+        for section in sections
+    )
+    return (
+        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">'
+        f"<title>{escape(title)}</title><style>{STYLE}</style></head><body><main>"
+        f'<header><h1>{escape(title)}</h1><p class="lead">{escape(introduction)}</p><nav>{links}</nav></header>'
+        f'<div class="tiles">{heads}</div>{parts}</main><script>{SCRIPT}</script></body></html>\n'
+    )
+
+
+def table(header: Sequence[str], rows: Sequence[Sequence[str]], baselines: Sequence[str] = ()) -> str:
+    """Lay out rows of cells that are already HTML; rows whose first cell is in `baselines` are set apart."""
+    head = "".join(f"<th>{escape(name)}</th>" for name in header)
+    lines = []
+    for row in rows:
+        style = ' class="baseline"' if row[0] in baselines else ""
+        lines.append(f"<tr{style}>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>")
+    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+
+
+def figure_cell(figure: Mapping[str, Any] | None, key: str = "value", digits: int = 3) -> str:
+    """Write a figure with its standard error, or a dash where there is none."""
+    if figure is None:
+        return "–"
+    return f"{figure[key]:.{digits}f} <small>± {figure['standard_error']:.{digits}f}</small>"
+
+
+def image(address: str, description: str, pixels: bool = False) -> str:
+    """Show a picture; `pixels` keeps small photographs' pixels square and sharp."""
+    style = ' class="pixels"' if pixels else ""
+    return f'<img{style} src="{address}" alt="{escape(description, quote=True)}" loading="lazy">'
+
+
+def card(content: str, caption: str, style: str = "") -> str:
+    """Frame pictures with a caption, which is already HTML."""
+    return f'<figure class="card {style}">{content}<figcaption>{caption}</figcaption></figure>'
+
+
+def four(addresses: Sequence[str], names: Sequence[str]) -> str:
+    """Show four small pictures side by side over their names."""
+    pictures = "".join(image(address, name, pixels=True) for address, name in zip(addresses, names, strict=True))
+    return f'<div class="four">{pictures}{"".join(f"<span>{escape(name)}</span>" for name in names)}</div>'
+
+
+def turntable(address: str, frames: int, description: str) -> str:
+    """Show a strip of frames one at a time, turned by a slider or by dragging."""
+    label = escape(description, quote=True)
+    return (
+        f'<div class="turntable"><div class="frames" role="img" aria-label="{label}" '
+        f"style=\"background-image:url('{address}')\"></div>"
+        f'<input type="range" min="0" max="{frames - 1}" value="0" aria-label="turn"></div>'
+    )
+
+
+def grid(style: str, items: Sequence[str]) -> str:
+    """Arrange items in as many columns as fit."""
+    return f'<div class="{style}">{"".join(items)}</div>'
+
+
+def folded(heading: str, content: str) -> str:
+    """Hide content behind a heading until it is clicked."""
+    return f"<details><summary>{escape(heading)}</summary>{content}</details>"

@@ -1,0 +1,90 @@
+"""Renderings for people: shapes as grey clay or textured, from given sides, with a transparent background."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.nn import functional
+
+from pipeline.geometry.camera import CameraConfig, Pose
+from pipeline.rendering.lighting import Light
+from pipeline.rendering.renderer import Mesh, RendererConfig, render
+
+CLAY = 0.8
+
+
+@dataclass(frozen=True)
+class ViewConfig:
+    """How objects are shown.
+
+    Attributes:
+        size: height and width of a rendering in pixels.
+        supersampling: samples along each side of a pixel.
+        elevation: height angle of the camera in degrees.
+    """
+
+    size: int
+    supersampling: int
+    elevation: float
+
+
+def render_clay(
+    vertices: Float[Tensor, "V 3"],
+    faces: Int[Tensor, "F 3"],
+    azimuths: Sequence[float],
+    camera: CameraConfig,
+    config: ViewConfig,
+) -> Float[Tensor, "K 4 H W"]:
+    """Render one shape in grey, lit from the camera's upper left, from azimuths in degrees."""
+    turns = torch.tensor(azimuths).deg2rad()
+    lamp, height = turns - math.radians(35), math.radians(50)
+    across = torch.stack([lamp.sin(), torch.zeros_like(lamp), lamp.cos()], dim=1) * math.cos(height)
+    direction = across + torch.tensor([0.0, math.sin(height), 0.0])
+    light = Light(direction, torch.full_like(turns, 0.45), torch.full_like(turns, 0.6))
+    texture = torch.full((1, 3, 2, 2), CLAY)
+    return _render(vertices, faces, functional.normalize(vertices), texture, turns, light, camera, config)
+
+
+def render_textured(
+    vertices: Float[Tensor, "V 3"],
+    faces: Int[Tensor, "F 3"],
+    directions: Float[Tensor, "V 3"],
+    texture: Float[Tensor, "3 T T"],
+    azimuths: Sequence[float],
+    camera: CameraConfig,
+    config: ViewConfig,
+) -> Float[Tensor, "K 4 H W"]:
+    """Render one textured shape without light from azimuths in degrees."""
+    turns = torch.tensor(azimuths).deg2rad()
+    return _render(vertices, faces, directions, texture[None], turns, None, camera, config)
+
+
+@torch.no_grad()
+def _render(
+    vertices: Float[Tensor, "V 3"],
+    faces: Int[Tensor, "F 3"],
+    directions: Float[Tensor, "V 3"],
+    texture: Float[Tensor, "1 3 T T"],
+    turns: Float[Tensor, " K"],
+    light: Light | None,
+    camera: CameraConfig,
+    config: ViewConfig,
+) -> Float[Tensor, "K 4 H W"]:
+    """Render from all turns in one batch; colours are those of the covered part of each pixel, opacity is its share."""
+    count = len(turns)
+    elevation = torch.full_like(turns, math.radians(config.elevation))
+    pose = Pose(turns, elevation, torch.zeros_like(turns), torch.zeros(count, 2), torch.ones_like(turns))
+    mesh = Mesh(vertices.expand(count, -1, -1), faces, directions)
+    renderer = RendererConfig(camera=camera, size=config.size, supersampling=config.supersampling)
+    images, silhouettes = render(mesh, texture.expand(count, -1, -1, -1), pose, None, light, renderer)
+    opacity = silhouettes[:, None].clamp(0, 1)
+    return torch.cat([images / opacity.clamp_min(1e-6), opacity], dim=1).clamp(0, 1)
+
+
+def on_white(pictures: Float[Tensor, "*batch 4 H W"]) -> Float[Tensor, "*batch 3 H W"]:
+    """Lay renderings with opacity over white."""
+    colors, opacity = pictures[..., :3, :, :], pictures[..., 3:, :, :]
+    return colors * opacity + 1 - opacity

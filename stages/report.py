@@ -1,0 +1,60 @@
+"""Write a run's page and figures, and print its metrics."""
+
+from pathlib import Path
+
+import torch
+
+from pipeline.config import load
+from pipeline.evaluation.artifacts import load_photographs, load_reconstructions
+from pipeline.evaluation.tables import format_figures, read_table
+from pipeline.export.report import ReportConfig, ReportInputs, write_report
+from pipeline.files import load_tensors, read_json
+from pipeline.networks.full_model import load_full_model
+from stages.command_line import parse, run
+
+
+def main() -> None:
+    """Write the page and the figures; end with a table of metrics and the page's path."""
+    arguments = parse(
+        __doc__,
+        run=str,
+        test_images=Path,
+        base_shape=Path,
+        model=Path,
+        reconstructions=Path,
+        features_metrics=Path,
+        base_shape_metrics=Path,
+        remesh_metrics=Path,
+        full_metrics=Path,
+        fine_tune_metrics=Path,
+        metrics=Path,
+        features_curve=Path,
+        base_shape_curve=Path,
+        full_curve=Path,
+        table=Path,
+        out=Path,
+        figures=Path,
+    )
+    reconstructions = load_reconstructions(arguments.reconstructions)
+    base_shape, _ = load_tensors(arguments.base_shape)
+    stages = ("features", "base_shape", "remesh", "full", "fine_tune")
+    inputs = ReportInputs(
+        run=arguments.run,
+        photographs=load_photographs(arguments.test_images, reconstructions.test_index),
+        reconstructions=reconstructions,
+        seeds=base_shape["seed_vertices"],
+        seed_faces=base_shape["faces"],
+        seed_scores=base_shape["seed_scores"],
+        camera=load_full_model(arguments.model, torch.device("cpu")).config.renderer.camera,
+        figures=read_json(arguments.metrics),
+        stage_figures={stage: read_json(getattr(arguments, f"{stage}_metrics")) for stage in stages},
+        curves={name: read_table(getattr(arguments, f"{name}_curve")) for name in ("features", "base_shape", "full")},
+        table=read_table(arguments.table),
+    )
+    write_report(inputs, load(arguments.params, ReportConfig, arguments.sections), arguments.out, arguments.figures)
+    print(format_figures(inputs.figures))
+    print(f"\nopen {(arguments.out / 'index.html').resolve()}")
+
+
+if __name__ == "__main__":
+    run(main)
