@@ -1,0 +1,98 @@
+"""Turn a row of the paper on in params.yaml, then run its chain to the report."""
+
+import subprocess
+import sys
+from argparse import ArgumentParser, Namespace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from ruamel.yaml import YAML
+from ruamel.yaml.comments import CommentedMap
+
+from pipeline.errors import ConfigError
+from pipeline.files import atomic_path
+from stages.command_line import run
+
+PARAMS = Path("params.yaml")
+OFFICIAL_CIFAR10 = "cifar-10-"
+
+
+def main() -> None:
+    """Add the run and what it needs to params.yaml; `dvc repro` does the rest."""
+    parser = ArgumentParser(description=__doc__)
+    parser.add_argument("--row", required=True, help="an entry of `rows`: viewpoints, dimensions, colours")
+    parser.add_argument("--size", default="laptop", help="an entry of `sizes`")
+    parser.add_argument("--ablation", default="none", help="an entry of `ablations`")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--source", type=Path, help="folder or archive of the photographs, if not on yet")
+    parser.add_argument("--dataset", help="a name for photographs of your own; else the row's")
+    parser.add_argument("--category", help="the category among them; else the row's")
+    name = turn_on(PARAMS, parser.parse_args())
+    sys.exit(subprocess.run(["dvc", "repro", f"report@{name}"], check=False).returncode)
+
+
+def turn_on(path: Path, options: Namespace) -> str:
+    """Add the run that the options describe to the file, keeping its comments, and return the run's name.
+
+    The name leaves out what is usual: laptop size, no ablation, seed 0, the row's own photographs. Raises ConfigError
+    for a row, size or ablation that does not exist and for a dataset whose source is not known.
+    """
+    yaml = _yaml()
+    document = yaml.load(path)
+    for kind, name in (("rows", options.row), ("sizes", options.size), ("ablations", options.ablation)):
+        _require(name, document[kind], f"{path}: {kind}")
+    row = document["rows"][options.row]
+    dataset, category = options.dataset or row["dataset"], options.category or row["category"]
+    _turn_on_dataset(document["datasets"], dataset, options.source)
+    features = f"{dataset}-{options.size}"
+    if features not in document["features"]:
+        _put(document["features"], features, {"dataset": dataset, "size": options.size, "seed": 0})
+    own = (dataset, category) != (row["dataset"], row["category"])
+    unusual = [f"{dataset}-{category}" if own else options.row]
+    unusual += [options.size] * (options.size != "laptop") + [options.ablation] * (options.ablation != "none")
+    name = "-".join(unusual + [f"seed{options.seed}"] * (options.seed != 0))
+    settings = {"row": options.row, "size": options.size, "ablation": options.ablation, "seed": options.seed}
+    _put(document["runs"], name, {**settings, "dataset": dataset, "category": category, "features": features})
+    with atomic_path(path) as temporary:
+        yaml.dump(document, temporary)
+    return name
+
+
+def _yaml() -> YAML:
+    yaml = YAML()
+    yaml.width = 120
+    yaml.representer.add_representer(
+        type(None), lambda representer, _: representer.represent_scalar("tag:yaml.org,2002:null", "null")
+    )
+    return yaml
+
+
+def _put(entries: CommentedMap, name: str, entry: dict[str, Any]) -> None:
+    """Replace an entry, or put it first: the comment that follows a section belongs to the section's last line."""
+    if name in entries:
+        entries[name].update(entry)
+    else:
+        entries.insert(0, name, entry)
+
+
+def _turn_on_dataset(datasets: CommentedMap, name: str, source: Path | None) -> None:
+    if source is None:
+        if name not in datasets:
+            raise ConfigError(f"no photographs of '{name}' yet; name their folder or archive with SOURCE=")
+        return
+    source = source.expanduser()
+    if not source.exists():
+        raise ConfigError(f"SOURCE={source} does not exist; expected a folder or an archive of photographs")
+    kind = "cifar10" if source.name.startswith(OFFICIAL_CIFAR10) else "folder"
+    _put(datasets, name, {"kind": kind, "source": str(source)})
+
+
+def _require(name: str, known: dict[str, Any], where: str) -> None:
+    if name not in known:
+        near = get_close_matches(name, known, n=1, cutoff=0)
+        raise ConfigError(f"{where} has no '{name}'; did you mean '{near[0]}'?")
+
+
+if __name__ == "__main__":
+    run(main)

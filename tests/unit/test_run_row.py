@@ -1,0 +1,75 @@
+"""Rows are turned on without disturbing the parameter file."""
+
+import difflib
+import shutil
+from argparse import Namespace
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+
+from pipeline.errors import ConfigError
+from stages.run_row import turn_on
+
+PARAMS = Path(__file__).parents[2] / "params.yaml"
+USUAL = {"size": "laptop", "ablation": "none", "seed": 0, "source": None, "dataset": None, "category": None}
+
+
+@pytest.fixture
+def params(tmp_path: Path) -> Path:
+    return Path(shutil.copy(PARAMS, tmp_path / "params.yaml"))
+
+
+def _options(row: str, **unusual: object) -> Namespace:
+    return Namespace(**{**USUAL, "row": row, **unusual})
+
+
+def test_what_is_on_stays_as_it_is(params: Path) -> None:
+    assert turn_on(params, _options("toybox-car")) == "toybox-car"
+    assert params.read_bytes() == PARAMS.read_bytes()
+
+
+def test_a_row_brings_its_dataset_features_and_run(params: Path, tmp_path: Path) -> None:
+    archive = tmp_path / "cifar10_jpeg.tar"
+    archive.touch()
+    assert turn_on(params, _options("cifar10-horse", source=archive)) == "cifar10-horse"
+    document = YAML(typ="safe").load(params)
+    assert document["datasets"]["cifar10"] == {"kind": "folder", "source": str(archive)}
+    assert document["features"]["cifar10-laptop"] == {"dataset": "cifar10", "size": "laptop", "seed": 0}
+    run = document["runs"]["cifar10-horse"]
+    assert (run["dataset"], run["category"], run["features"]) == ("cifar10", "horse", "cifar10-laptop")
+    changes = difflib.ndiff(PARAMS.read_text().splitlines(), params.read_text().splitlines())
+    assert {line[0] for line in changes} == {" ", "+"}
+
+
+def test_names_say_what_is_unusual(params: Path, tmp_path: Path) -> None:
+    unusual = {"size": "paper", "ablation": "no-symmetry", "seed": 2}
+    assert turn_on(params, _options("toybox-car", **unusual)) == "toybox-car-paper-no-symmetry-seed2"
+    own = {"source": tmp_path, "dataset": "market", "category": "cart"}
+    assert turn_on(params, _options("cifar10-automobile", **own)) == "market-cart"
+    document = YAML(typ="safe").load(params)
+    assert document["runs"]["market-cart"]["row"] == "cifar10-automobile"
+    assert document["datasets"]["market"]["source"] == str(tmp_path)
+
+
+def test_the_official_archive_is_known_by_its_name(params: Path, tmp_path: Path) -> None:
+    archive = tmp_path / "cifar-10-python.tar.gz"
+    archive.touch()
+    turn_on(params, _options("cifar10-automobile", source=archive))
+    assert YAML(typ="safe").load(params)["datasets"]["cifar10"]["kind"] == "cifar10"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (_options("cifar10-hors"), "did you mean 'cifar10-horse'"),
+        (_options("toybox-car", size="labtop"), "did you mean 'laptop'"),
+        (_options("toybox-car", ablation="no-symetry"), "did you mean 'no-symmetry'"),
+        (_options("pascal-chair"), "no photographs of 'pascal3d' yet"),
+        (_options("toybox-car", source=Path("nowhere.tar")), "SOURCE=nowhere.tar does not exist"),
+    ],
+)
+def test_a_wrong_name_changes_nothing(params: Path, options: Namespace, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        turn_on(params, options)
+    assert params.read_bytes() == PARAMS.read_bytes()
