@@ -4,6 +4,7 @@ import json
 import signal
 import subprocess
 import time
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -53,7 +54,7 @@ def test_restart_state_is_gone_when_a_stage_is_done(project: Path) -> None:
 def test_a_killed_training_resumes_to_the_same_bytes(project: Path, stage: str, tmp_path: Path) -> None:
     """Kill the stage as soon as there is restart state, run it again and compare with the undisturbed run."""
     command = commands(project)[stage]
-    written = {word: tmp_path / word for option, word in zip(command, command[1:], strict=False) if _writes(option)}
+    written = {word: tmp_path / word for option, word in pairwise(command) if _writes(option)}
     checkpoints = tmp_path / "checkpoints"
     command = [str(written.get(word, word)) for word in command]
     command[command.index("--checkpoints") + 1] = str(checkpoints)

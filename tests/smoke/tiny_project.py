@@ -25,6 +25,7 @@ TINY: dict[str, Any] = {
         "score_batches": 1,
         "checkpoint_every": 1,
     },
+    "remesh": {"isotropic": {"target_faces": 320, "attempts": 1, "iterations": 3}, "sphere_map": {"iterations": 3}},
     "train_full": {
         "iterations": 6,
         "batch_size": 4,
@@ -47,6 +48,7 @@ TINY: dict[str, Any] = {
         "shape": {"steps": 2},
     },
     "evaluate": {"shape": {"voxel_resolution": 8, "surface_points": 50}, "chance_draws": 10},
+    "report": {"examples": 2, "turntables": 1, "frames": 2, "view": {"size": 32, "supersampling": 1}},
 }
 
 
