@@ -1,7 +1,5 @@
 """Shapes of the full model: from a code to parameters, and from parameters to vertices (paper section 3.2.1)."""
 
-from typing import Protocol
-
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
@@ -9,20 +7,6 @@ from torch import Tensor, nn
 from pipeline.geometry.ffd import CONTROL_POINTS, control_point_weights, deform
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.symmetry import mirror_index, symmetrize
-
-
-class ShapeSpace(Protocol):
-    """A family of shapes with a fixed number of parameters; all zeros stand for the base shape."""
-
-    parameter_count: int
-
-    def __call__(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
-        """Return the shapes' vertices, scaled into the unit cube."""
-        ...
-
-    def draw(self, count: int, spread: float, rng: torch.Generator) -> Float[Tensor, "B K"]:
-        """Draw parameters from a normal distribution around the base shape."""
-        ...
 
 
 class FreeFormShapes(nn.Module):

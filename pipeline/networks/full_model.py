@@ -10,11 +10,12 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from pipeline.files import load_tensors
-from pipeline.geometry.camera import Pose, project
+from pipeline.geometry.camera import Pose
 from pipeline.networks.decoders import FreeFormShapes, OffsetShapes, ShapeDecoder
 from pipeline.networks.encoders import Encoder, EncoderConfig
 from pipeline.networks.generators import StripesGenerator, TextureGenerator
-from pipeline.networks.pose_decoder import PoseCoordinates, PoseDecoder, PoseRange
+from pipeline.networks.pose_coordinates import PoseCoordinates, PoseRange
+from pipeline.networks.pose_decoder import PoseDecoder
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
 
@@ -89,7 +90,7 @@ class FullModel(nn.Module):
             if config.two_stage
             else OffsetShapes(base.vertices[0], shape.offset_reach, shape.mirror)
         )
-        self.poses = PoseCoordinates(config.pose_range)
+        self.poses = PoseCoordinates(config.pose_range, config.renderer.camera, config.framing == "box")
         self.shape_encoder = Encoder(config.encoder, code)
         self.pose_encoder = Encoder(config.encoder, code)
         self.texture_encoder = Encoder(config.encoder, config.texture_code_size)
@@ -105,33 +106,16 @@ class FullModel(nn.Module):
     def infer(self, images: Float[Tensor, "B 3 H W"]) -> Reconstruction:
         """Reconstruct photographs in [0, 1]; the pose is the student's. Put the model into evaluation mode first."""
         vertices = self.shapes(self.shape_decoder(self.shape_encoder(images)))
-        pose = self.poses.pose(self.pose_decoder(self.pose_encoder(images)))
+        pose = self.poses(self.pose_decoder(self.pose_encoder(images)), vertices)
         texture_maps = self.texture_decoder(self.texture_encoder(images))
         backgrounds = self.background_decoder(self.background_encoder(images))
-        return Reconstruction(vertices, texture_maps, self.framed(vertices, pose), backgrounds)
+        return Reconstruction(vertices, texture_maps, pose, backgrounds)
 
     def render(self, reconstruction: Reconstruction) -> Float[Tensor, "B 3 H W"]:
         """Render reconstructions without directional light, because textures hold the shading (paper section 3.2)."""
         vertices, texture_maps, pose, backgrounds = reconstruction
         mesh = Mesh(vertices, self.faces, self.directions)
-        pose = self.framed(vertices, pose)
         return render(mesh, texture_maps, pose, backgrounds, None, self.config.renderer).images
-
-    def framed(self, vertices: Float[Tensor, "B V 3"], pose: Pose) -> Pose:
-        """Return the pose as it is, or for photographs cut to their boxes the one that fills the picture."""
-        return fill_picture(vertices, pose, self.config.renderer) if self.config.framing == "box" else pose
-
-
-def fill_picture(vertices: Float[Tensor, "B V 3"], pose: Pose, renderer: RendererConfig) -> Pose:
-    """Replace centre and scale so that the longer side of the object's box in the picture spans it (paper section 4.2).
-
-    Three degrees of freedom remain: azimuth, elevation and roll. Gradients flow to the vertices and to those three.
-    """
-    plain = pose._replace(center=torch.zeros_like(pose.center), scale=torch.ones_like(pose.scale))
-    xy_ndc = project(vertices, plain, renderer.camera)[..., :2]
-    lower, upper = xy_ndc.amin(dim=1), xy_ndc.amax(dim=1)
-    scale = 2 / (upper - lower).amax(dim=1)
-    return pose._replace(center=-scale[:, None] * (lower + upper) / 2, scale=scale)
 
 
 def full_model_texts(model: FullModel) -> dict[str, str]:

@@ -13,7 +13,6 @@ from torch import Tensor
 
 from pipeline.losses.image_distance import Features, feature_distance
 from pipeline.networks.full_model import FullModel, Reconstruction
-from pipeline.networks.pose_decoder import PoseCoordinates
 from pipeline.networks.wide_resnet import FeatureExtractor
 
 FIRST_HEAD = 2
@@ -78,14 +77,14 @@ class Best(NamedTuple):
 
 def first_record(model: FullModel, count: int, rng: torch.Generator) -> Record:
     """Start with random poses and the base shape."""
-    pose = model.poses.embed(model.poses.draw(count, rng))
-    return Record(pose, torch.zeros(count, model.shapes.parameter_count, device=rng.device))
+    return Record(model.poses.draw(count, rng), torch.zeros(count, model.shapes.parameter_count, device=rng.device))
 
 
 def candidates(
     model: FullModel, estimate: Estimate, record: Record, config: ExplorationConfig, rng: torch.Generator
 ) -> tuple[Float[Tensor, "candidates B 7"], Float[Tensor, "candidates B K"]]:
     """List poses (recorded, estimated, near, random) with the recorded shape, then shapes with the recorded pose."""
+    batch = len(record.pose)
     poses = torch.cat(
         [
             record.pose[None],
@@ -93,15 +92,15 @@ def candidates(
             estimate.heads.transpose(0, 1),
             _near(record.pose, config.perturbed_poses, config.pose_step, rng),
             _turned(record.pose, config.turned_poses, rng),
-            _random_poses(model.poses, len(record.pose), config.random_poses, rng),
+            model.poses.draw(config.random_poses * batch, rng).unflatten(0, (config.random_poses, batch)),
         ]
     )
-    poses = model.poses.clamp(poses.flatten(0, 1)).unflatten(0, (len(poses), -1))
+    poses = model.poses.clamp(poses)
     shapes = torch.cat(
         [
             estimate.shape[None],
             _near(record.shape, config.perturbed_shapes, config.shape_step, rng),
-            _random_shapes(model, len(record.shape), config, rng),
+            _random_shapes(model, batch, config, rng),
         ]
     )
     pose_count, shape_count = len(poses), len(shapes)
@@ -122,16 +121,14 @@ def score(
 ) -> Float[Tensor, "candidates B"]:
     """Return every candidate's reconstruction loss, rendered with the estimated texture and background in one batch."""
     count = len(poses)
-    features = extractor(
-        model.render(
-            Reconstruction(
-                model.shapes(shapes.flatten(0, 1)),
-                estimate.texture_maps.repeat(count, 1, 1, 1),
-                model.poses.pose(poses.flatten(0, 1)),
-                estimate.backgrounds.repeat(count, 1, 1, 1),
-            )
-        )
+    vertices = model.shapes(shapes.flatten(0, 1))
+    reconstructions = Reconstruction(
+        vertices,
+        estimate.texture_maps.repeat(count, 1, 1, 1),
+        model.poses(poses.flatten(0, 1), vertices),
+        estimate.backgrounds.repeat(count, 1, 1, 1),
     )
+    features = extractor(model.render(reconstructions))
     of_candidates = zip(*(layer.chunk(count) for layer in features), strict=True)
     return torch.stack([feature_distance(photographs, list(candidate)) for candidate in of_candidates])
 
@@ -169,10 +166,6 @@ def _turned(recorded: Float[Tensor, "B 7"], count: int, rng: torch.Generator) ->
     azimuth = 2 * math.pi * (start + steps) / max(count, 1)
     turn = torch.stack([azimuth.cos(), azimuth.sin()], dim=2)
     return torch.cat([turn, recorded[:, 2:].expand(count, -1, -1)], dim=2)
-
-
-def _random_poses(poses: PoseCoordinates, batch: int, count: int, rng: torch.Generator) -> Float[Tensor, "count B 7"]:
-    return poses.embed(poses.draw(count * batch, rng)).unflatten(0, (count, batch))
 
 
 def _random_shapes(model: FullModel, batch: int, config: ExplorationConfig, rng: torch.Generator) -> Tensor:

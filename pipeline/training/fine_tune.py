@@ -56,9 +56,9 @@ class Outputs:
         """Decode the outputs, some of them replaced. Gradients flow to the replacements."""
         values = self.values | replaced
         vertices = self.model.shapes(values["shape"])
-        pose = self.model.poses.pose(self.model.poses.clamp(values["pose"]))
+        pose = self.model.poses(self.model.poses.clamp(values["pose"]), vertices)
         backgrounds = self.model.background_decoder(values["background"])
-        return Reconstruction(vertices, self.texture_maps, self.model.framed(vertices, pose), backgrounds)
+        return Reconstruction(vertices, self.texture_maps, pose, backgrounds)
 
 
 def tune(outputs: Outputs, name: str, loss: Loss, phase: PhaseConfig, betas: tuple[float, float]) -> None:

@@ -15,7 +15,7 @@ from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.networks.discriminator import ViewDiscriminator
 from pipeline.networks.full_model import FullModel, FullModelConfig
-from pipeline.networks.pose_decoder import POSE_EMBEDDING_SIZE
+from pipeline.networks.pose_coordinates import POSE_COORDINATES
 from pipeline.networks.wide_resnet import FeatureExtractor, extract
 from pipeline.rendering.renderer import Mesh
 from pipeline.seeding import generator, initialised
@@ -85,7 +85,7 @@ class FullTrainer:
         with initialised(seed, "full_model"):
             self.model = FullModel(config.model, base).to(device)
         with initialised(seed, "view_discriminator"):
-            self.discriminator = ViewDiscriminator(config.discriminator_width, POSE_EMBEDDING_SIZE).to(device)
+            self.discriminator = ViewDiscriminator(config.discriminator_width, POSE_COORDINATES).to(device)
         self.loss = FullLoss(config.loss, self.model, self.discriminator, extractor)
         parameters = [*self.model.parameters(), *self.discriminator.parameters()]
         self.optimizer = torch.optim.Adam(parameters, lr=config.learning_rate, betas=config.betas)
@@ -133,7 +133,7 @@ class FullTrainer:
     @torch.no_grad()
     def recorded_pose(self) -> Pose:
         """Return the best poses of all training photographs; those without a visit have random ones."""
-        return self.model.framed(self.model.shapes(self.record.shape), self.model.poses.pose(self.record.pose))
+        return self.model.poses(self.record.pose, self.model.shapes(self.record.shape))
 
     def parts(self) -> dict[str, Part]:
         """Name everything a restart state has to hold."""

@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pipeline.geometry.camera import Pose
 from pipeline.geometry.topology import topology_of
 from pipeline.losses.feature_matching import feature_matching
 from pipeline.losses.image_distance import Features, feature_distance
@@ -51,7 +50,7 @@ class FullLoss:
         """
         config, model = self.config, self.model
         vertices = model.shapes(best.record.shape)
-        pose = model.framed(vertices, model.poses.pose(best.record.pose))
+        pose = model.poses(best.record.pose, vertices)
         images = model.render(Reconstruction(vertices, estimate.texture_maps, pose, estimate.backgrounds))
         features = self.extractor(images)
         terms = {
@@ -60,7 +59,7 @@ class FullLoss:
             "pose_regression": pose_regression(estimate, best),
             "shape_regression": shape_regression(estimate, best),
             "total_variation": total_variation(estimate.texture_maps),
-            "view_prior": self.view_prior(vertices, estimate, pose, images, rng),
+            "view_prior": self.view_prior(vertices, estimate, best.record.pose, images, rng),
         }
         terms["loss"] = (
             terms["reconstruction"]
@@ -79,7 +78,7 @@ class FullLoss:
         self,
         vertices: Float[Tensor, "B V 3"],
         estimate: Estimate,
-        pose: Pose,
+        pose: Float[Tensor, "B 7"],
         images: Float[Tensor, "B 3 H W"],
         rng: torch.Generator,
     ) -> Float[Tensor, ""]:
@@ -88,10 +87,13 @@ class FullLoss:
         Only azimuth and elevation are redrawn: where the object stands in the picture says nothing about how it looks.
         The discriminator descends on the loss, the objects' shapes and textures ascend.
         """
-        drawn = self.model.poses.draw(len(images), rng)
-        turned = self.model.framed(vertices, pose._replace(azimuth=drawn.azimuth, elevation=drawn.elevation))
-        others = self.model.render(Reconstruction(vertices, estimate.texture_maps, turned, estimate.backgrounds))
-        views = self.model.poses.embed(_joined(pose, turned)).detach()
+        model = self.model
+        drawn = model.poses.draw(len(images), rng)
+        turned = torch.cat([drawn[:, :3], pose[:, 3:].detach()], 1)
+        others = model.render(
+            Reconstruction(vertices, estimate.texture_maps, model.poses(turned, vertices), estimate.backgrounds)
+        )
+        views = torch.cat([pose.detach(), turned])
         logits = self.discriminator(reverse_gradient(torch.cat([images, others])), views)
         estimated, random = logits.chunk(2)
         return view_prior_loss(estimated, random)
@@ -111,7 +113,3 @@ def pose_regression(estimate: Estimate, best: Best) -> Float[Tensor, ""]:
 def shape_regression(estimate: Estimate, best: Best) -> Float[Tensor, ""]:
     """Return the mean absolute error of the estimated shape parameters to the recorded ones (term 2)."""
     return (estimate.shape - best.record.shape.detach()).abs().mean()
-
-
-def _joined(first: Pose, second: Pose) -> Pose:
-    return Pose(*(torch.cat(pair) for pair in zip(first, second, strict=True)))

@@ -1,0 +1,95 @@
+"""The six parameters of a pose in the form in which they are regressed and explored (paper section 3.2.2)."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from pipeline.geometry.camera import CameraConfig, Pose, project
+
+POSE_COORDINATES = 7
+
+
+@dataclass(frozen=True)
+class PoseRange:
+    """Where the poses of a category lie: bounds of what is predicted and of what is explored."""
+
+    elevation: tuple[float, float]
+    """Degrees."""
+    roll: tuple[float, float]
+    """Degrees."""
+    center: tuple[float, float]
+    """Of the middle of the object's box in the picture, along x and along y, in ndc."""
+    extent: tuple[float, float]
+    """Longer side of the object's box over the picture's side; 1 fills the picture."""
+
+
+class PoseCoordinates(nn.Module):
+    """Turn the seven coordinates that networks regress into poses.
+
+    The coordinates are cosine and sine of the azimuth, which has no seam, then elevation, roll, the middle of the
+    object's box in the picture (x, y) and the logarithm of the box's longer side, mapped from their ranges to [-1, 1].
+    Photographers fill the frame from every side, so the box says where and how large an object is without regard to its
+    shape and its azimuth; the centre and scale of a `Pose` follow from it.
+    """
+
+    middle: Tensor
+    reach: Tensor
+
+    def __init__(self, pose_range: PoseRange, camera: CameraConfig, fills_picture: bool) -> None:
+        """Take the ranges; with `fills_picture` the box is the picture, whatever the last three coordinates say."""
+        super().__init__()
+        self.camera, self.fills_picture = camera, fills_picture
+        bounds = torch.tensor(
+            [
+                [math.radians(bound) for bound in pose_range.elevation],
+                [math.radians(bound) for bound in pose_range.roll],
+                pose_range.center,
+                pose_range.center,
+                [math.log(bound) for bound in pose_range.extent],
+            ]
+        )
+        self.register_buffer("middle", bounds.mean(dim=1), persistent=False)
+        self.register_buffer("reach", (bounds[:, 1] - bounds[:, 0]) / 2, persistent=False)
+
+    def forward(self, coordinates: Float[Tensor, "B 7"], vertices: Float[Tensor, "B V 3"]) -> Pose:
+        """Return the poses that put the shapes where the coordinates say. Gradients flow to both."""
+        elevation, roll, x, y, log_extent = (self.middle + self.reach * coordinates[:, 2:]).unbind(1)
+        azimuth = torch.atan2(coordinates[:, 1], coordinates[:, 0])
+        center, extent = torch.stack([x, y], 1), log_extent.exp()
+        if self.fills_picture:
+            center, extent = torch.zeros_like(center), torch.ones_like(extent)
+        return place_in_picture(vertices, azimuth, elevation, roll, center, extent, self.camera)
+
+    def draw(self, count: int, rng: torch.Generator) -> Float[Tensor, "B 7"]:
+        """Draw coordinates uniformly: azimuth over the circle, the others over their ranges."""
+        uniform = 2 * torch.rand(count, POSE_COORDINATES - 1, generator=rng, device=rng.device) - 1
+        turn = math.pi * uniform[:, :1]
+        return torch.cat([turn.cos(), turn.sin(), uniform[:, 1:]], 1)
+
+    def clamp(self, coordinates: Float[Tensor, "... 7"]) -> Float[Tensor, "... 7"]:
+        """Return the nearest coordinates within the ranges, with the azimuth's pair on the unit circle."""
+        turn = nn.functional.normalize(coordinates[..., :2], dim=-1, eps=1e-6)
+        return torch.cat([turn, coordinates[..., 2:].clamp(-1, 1)], -1)
+
+
+def place_in_picture(
+    vertices: Float[Tensor, "B V 3"],
+    azimuth: Float[Tensor, " B"],
+    elevation: Float[Tensor, " B"],
+    roll: Float[Tensor, " B"],
+    center: Float[Tensor, "B 2"],
+    extent: Float[Tensor, " B"],
+    camera: CameraConfig,
+) -> Pose:
+    """Choose the pose's centre and scale so that the object's box in the picture has a given middle and longer side.
+
+    The middle is in ndc, the extent relative to the picture's side. Gradients flow to everything.
+    """
+    plain = Pose(azimuth, elevation, roll, torch.zeros_like(center), torch.ones_like(extent))
+    xy_ndc = project(vertices, plain, camera)[..., :2]
+    lower, upper = xy_ndc.amin(dim=1), xy_ndc.amax(dim=1)
+    scale = 2 * extent / (upper - lower).amax(dim=1)
+    return plain._replace(center=center - scale[:, None] * (lower + upper) / 2, scale=scale)

@@ -1,0 +1,89 @@
+"""A full model of a few thousand weights around an asymmetric body, and photographs of such bodies, for tests."""
+
+from dataclasses import replace
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from pipeline.geometry.camera import CameraConfig
+from pipeline.geometry.icosphere import icosphere
+from pipeline.geometry.normalize import fit_unit_cube
+from pipeline.losses.smoothness import SmoothnessConfig
+from pipeline.networks.encoders import EncoderConfig
+from pipeline.networks.full_model import FullModel, FullModelConfig, Reconstruction, ShapeConfig
+from pipeline.networks.pose_coordinates import PoseRange
+from pipeline.networks.wide_resnet import FeatureExtractor, WideResNet
+from pipeline.rendering.renderer import Mesh, RendererConfig
+from pipeline.seeding import generator, initialised
+from pipeline.training.exploration import ExplorationConfig
+from pipeline.training.full import EllipsoidConfig, FullTrainingConfig
+from pipeline.training.full_losses import LossConfig
+
+MODEL = FullModelConfig(
+    two_stage=True,
+    framing="free",
+    encoder=EncoderConfig("wide_resnet", 8, 1),
+    code_size=16,
+    texture_code_size=4,
+    hidden_size=16,
+    pose_heads=2,
+    pose_range=PoseRange((0.0, 30.0), (-10.0, 10.0), (-0.2, 0.2), (0.7, 1.0)),
+    texture_size=16,
+    texture_channels=4,
+    mirror_texture=True,
+    shape=ShapeConfig(mirror=True, grid_reach=0.1, dimension_reach=0.2, offset_reach=0.1),
+    renderer=RendererConfig(CameraConfig(2.7, 30.0), 32, 2),
+)
+TRAINING = FullTrainingConfig(
+    iterations=4,
+    batch_size=4,
+    learning_rate=1e-3,
+    betas=(0.5, 0.99),
+    photographs_per_iteration=2.0,
+    model=MODEL,
+    ellipsoid=EllipsoidConfig((0.5, 0.5, 1.0), 2),
+    exploration=ExplorationConfig(1, 2, 2, 1, 1, (0.02, 0.2), (0.02, 0.2), 0.5),
+    loss=LossConfig(0.1, 1.0, 1.0, 0.1, 0.1, SmoothnessConfig(1.0, 0.0, 0.0, 0.01, 0.0, 0.0)),
+    discriminator_width=4,
+    curve_every=2,
+    checkpoint_every=2,
+)
+
+
+def base_mesh() -> Mesh:
+    """Return a long body, mirror-symmetric about x = 0, whose rear half is taller than its front."""
+    directions, faces = icosphere(2)
+    taller = 1 + 0.6 * torch.sigmoid(-4 * directions[:, 2:])
+    return Mesh(fit_unit_cube((directions * torch.tensor([0.4, 0.4, 1.0]) * taller)[None]), faces, directions)
+
+
+def tiny_model(**changes: object) -> FullModel:
+    """Build the tiny model, with some entries of its config replaced."""
+    with initialised(0):
+        return FullModel(replace(MODEL, **changes), base_mesh())
+
+
+def tiny_extractor() -> FeatureExtractor:
+    """Return a small extractor with random weights."""
+    with initialised(1):
+        return FeatureExtractor(WideResNet(10, 1, 2))
+
+
+def photographs(count: int) -> tuple[UInt8[Tensor, "N 3 32 32"], Float[Tensor, "N 7"]]:
+    """Render the base mesh, front red and rear blue, from random poses; return the pictures and their pose coordinates."""
+    model, rng = tiny_model(), generator(2)
+    coordinates = model.poses.draw(count, rng)
+    vertices = model.base_vertices.expand(count, -1, -1)
+    columns = torch.linspace(0, 1, 32)
+    front = 1 - (2 * columns - 1).abs()
+    texture_map = torch.stack([front, 0.3 * torch.ones(32), 1 - front])[:, None].expand(3, 32, 32)
+    pictures = model.render(
+        Reconstruction(
+            vertices,
+            texture_map.expand(count, -1, -1, -1),
+            model.poses(coordinates, vertices),
+            torch.full((count, 3, 32, 32), 0.8),
+        )
+    )
+    return (pictures.clamp(0, 1) * 255).round().to(torch.uint8), coordinates

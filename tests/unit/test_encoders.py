@@ -1,0 +1,34 @@
+"""Encoders of the full model."""
+
+import pytest
+import torch
+
+from pipeline.networks.encoders import Encoder, EncoderConfig
+from pipeline.seeding import generator, initialised
+
+CONFIGS = [(EncoderConfig("wide_resnet", 8, 1), 32), (EncoderConfig("resnet18", 8, 2), 128)]
+
+
+@pytest.mark.parametrize(("config", "size"), CONFIGS)
+def test_code_does_not_depend_on_the_rest_of_the_batch(config: EncoderConfig, size: int) -> None:
+    with initialised(0):
+        encoder = Encoder(config, 5)
+    images = torch.rand(3, 3, size, size, generator=generator(0))
+    assert encoder(images).shape == (3, 5)
+    torch.testing.assert_close(encoder(images)[1:2], encoder(images[1:2]))
+
+
+def test_resnet18_of_width_64_has_the_published_weights() -> None:
+    encoder = Encoder(EncoderConfig("resnet18", 64, 2), 10)
+    convolutions = [m for m in encoder.modules() if isinstance(m, torch.nn.Conv2d)]
+    # He et al. 2016: 17 convolutions, one of them 7x7, and three 1x1 projections, 11,166,912 weights.
+    assert len(convolutions) == 20
+    assert sum(m.weight.numel() for m in convolutions) == 11_166_912
+
+
+def test_code_tells_where_things_are() -> None:
+    with initialised(0):
+        encoder = Encoder(EncoderConfig("wide_resnet", 8, 1), 5)
+    images = torch.zeros(1, 3, 32, 32)
+    images[..., 2:8, 2:8] = 1
+    assert not torch.allclose(encoder(images), encoder(images.flip(-1)), atol=1e-3)

@@ -1,0 +1,95 @@
+"""Candidates for the best pose and shape."""
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from pipeline.networks.full_model import FullModel, Reconstruction
+from pipeline.networks.wide_resnet import extract
+from pipeline.seeding import generator
+from pipeline.training.exploration import Estimate, Record, candidates, explore, first_record, score
+from tests.tiny_full_model import TRAINING, photographs, tiny_extractor, tiny_model
+
+CONFIG = TRAINING.exploration
+
+
+def estimate_of(model: FullModel, count: int) -> Estimate:
+    with torch.no_grad():
+        images = torch.rand(count, 3, 32, 32, generator=generator(5))
+        code = model.pose_encoder(images)
+        return Estimate(
+            model.pose_decoder(code),
+            model.pose_decoder.ensemble(code),
+            model.shape_decoder(model.shape_encoder(images)),
+            model.texture_decoder(model.texture_encoder(images)),
+            model.background_decoder(model.background_encoder(images)),
+        )
+
+
+@torch.no_grad()
+def pictures_of(model: FullModel, estimate: Estimate, record: Record) -> Tensor:
+    vertices = model.shapes(record.shape)
+    pose = model.poses(record.pose, vertices)
+    return model.render(Reconstruction(vertices, estimate.texture_maps, pose, estimate.backgrounds))
+
+
+def test_each_kind_of_candidate_is_there_once_for_every_photograph() -> None:
+    model = tiny_model()
+    estimate, record = estimate_of(model, 3), first_record(model, 3, generator(0))
+    poses, shapes = candidates(model, estimate, record, CONFIG, generator(1))
+    assert poses.shape == (1 + 1 + 2 + 2 + 2 + 1 + 3, 3, 7)
+    torch.testing.assert_close(poses[0], record.pose)
+    torch.testing.assert_close(poses[1], estimate.student)
+    torch.testing.assert_close(poses[2:4], estimate.heads.transpose(0, 1))
+    assert torch.equal(shapes[:9], record.shape.expand(9, -1, -1))
+    assert torch.equal(poses[9:], record.pose.expand(3, -1, -1))
+    assert torch.equal(shapes[9], estimate.shape)
+
+
+def test_turned_candidates_keep_all_but_the_azimuth_and_spread_over_the_circle() -> None:
+    model = tiny_model()
+    record = first_record(model, 2, generator(0))
+    only_turned = replace(
+        CONFIG, turned_poses=4, random_poses=0, perturbed_poses=0, random_shapes=0, perturbed_shapes=0
+    )
+    poses, _ = candidates(model, estimate_of(model, 2), record, only_turned, generator(1))
+    turned = poses[4:8]
+    torch.testing.assert_close(turned[..., 2:], record.pose[:, 2:].expand(4, -1, -1))
+    torch.testing.assert_close(turned[..., :2].sum(dim=0), torch.zeros(2, 2), atol=1e-5, rtol=0)
+
+
+def test_the_true_pose_wins_and_its_loss_is_zero() -> None:
+    model, extractor = tiny_model(), tiny_extractor()
+    estimate, record = estimate_of(model, 3), first_record(model, 3, generator(0))
+    features = extractor(pictures_of(model, estimate, record))
+    best = explore(model, extractor, features, estimate, record, CONFIG, generator(1))
+    assert best.winner.tolist() == [0, 0, 0]
+    assert best.losses.amax() < 1e-3
+
+
+def test_exploring_never_ends_above_the_record_and_finds_the_best_head() -> None:
+    model, extractor = tiny_model(), tiny_extractor()
+    images, _ = photographs(4)
+    features = [layer.float() for layer in extract(extractor, images, 4)]
+    estimate, record = estimate_of(model, 4), first_record(model, 4, generator(0))
+    best = explore(model, extractor, features, estimate, record, CONFIG, generator(1))
+    zeros = torch.zeros(1, 4, model.shapes.parameter_count)
+    recorded = score(model, extractor, features, estimate, record.pose[None], zeros)[0]
+    assert (best.losses <= recorded + 1e-4).all()
+    assert (best.losses < recorded - 1e-3).any()
+    of_heads = score(model, extractor, features, estimate, estimate.heads.transpose(0, 1), zeros.expand(2, -1, -1))
+    assert torch.equal(best.head, of_heads.argmin(dim=0))
+
+
+def test_gradients_reach_the_head_whose_pose_won() -> None:
+    model, extractor = tiny_model(), tiny_extractor()
+    estimate, truth = estimate_of(model, 1), first_record(model, 1, generator(0))
+    features = extractor(pictures_of(model, estimate, truth))
+    heads = torch.stack([-truth.pose, truth.pose], dim=1).requires_grad_()
+    record = truth._replace(pose=-truth.pose)
+    best = explore(model, extractor, features, estimate._replace(heads=heads), record, CONFIG, generator(1))
+    assert best.winner.item() == 3
+    best.record.pose.sum().backward()
+    assert heads.grad is not None
+    assert (heads.grad.abs().sum(dim=2) > 0).tolist() == [[False, True]]

@@ -1,0 +1,69 @@
+"""Pose coordinates and the placement of objects in the picture."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from pipeline.geometry.camera import CameraConfig, project
+from pipeline.networks.pose_coordinates import PoseCoordinates, PoseRange
+from pipeline.seeding import generator
+from tests.tiny_full_model import base_mesh
+
+CAMERA = CameraConfig(2.7, 30.0)
+RANGE = PoseRange((-10.0, 50.0), (-20.0, 20.0), (-0.4, 0.4), (0.5, 2.0))
+
+
+def boxes(poses: PoseCoordinates, coordinates: Tensor) -> tuple[Tensor, Tensor]:
+    vertices = base_mesh().vertices.expand(len(coordinates), -1, -1)
+    xy = project(vertices, poses(coordinates, vertices), CAMERA)[..., :2]
+    return xy.amin(dim=1), xy.amax(dim=1)
+
+
+def test_middle_of_the_ranges() -> None:
+    vertices = base_mesh().vertices
+    pose = PoseCoordinates(RANGE, CAMERA, fills_picture=False)(torch.tensor([[0.0, 2.0, 0, 0, 0, 0, 0]]), vertices)
+    assert pose.azimuth.item() == torch.tensor(math.pi / 2)
+    torch.testing.assert_close(pose.elevation, torch.tensor([math.radians(20)]))
+    assert pose.roll.item() == 0
+
+
+def test_box_is_where_the_coordinates_say_from_every_side() -> None:
+    poses = PoseCoordinates(RANGE, CAMERA, fills_picture=False)
+    coordinates = poses.draw(50, generator(0))
+    lower, upper = boxes(poses, coordinates)
+    torch.testing.assert_close((lower + upper) / 2, 0.4 * coordinates[:, 4:6], atol=1e-5, rtol=0)
+    torch.testing.assert_close((upper - lower).amax(dim=1), 2 * 2 ** coordinates[:, 6], atol=1e-5, rtol=1e-5)
+
+
+def test_object_fills_the_picture_of_box_framing() -> None:
+    poses = PoseCoordinates(RANGE, CAMERA, fills_picture=True)
+    lower, upper = boxes(poses, poses.draw(50, generator(0)))
+    torch.testing.assert_close(torch.maximum(-lower, upper).amax(dim=1), torch.ones(50), atol=1e-5, rtol=0)
+    torch.testing.assert_close(lower + upper, torch.zeros(50, 2), atol=1e-5, rtol=0)
+
+
+def test_drawn_coordinates_cover_their_ranges_and_stay_inside() -> None:
+    poses = PoseCoordinates(RANGE, CAMERA, fills_picture=False)
+    coordinates = poses.draw(2000, generator(0))
+    torch.testing.assert_close(poses.clamp(coordinates), coordinates)
+    assert (coordinates.amin(dim=0) < -0.98).all()
+    assert (coordinates.amax(dim=0) > 0.98).all()
+
+
+def test_clamp_moves_to_the_nearest_coordinates() -> None:
+    poses = PoseCoordinates(RANGE, CAMERA, fills_picture=False)
+    clamped = poses.clamp(torch.tensor([[3.0, 4.0, 2.0, -2.0, 0.5, 0.0, -1.0]]))
+    torch.testing.assert_close(clamped, torch.tensor([[0.6, 0.8, 1.0, -1.0, 0.5, 0.0, -1.0]]))
+
+
+def test_gradients_flow_to_coordinates_and_vertices() -> None:
+    poses = PoseCoordinates(RANGE, CAMERA, fills_picture=False).double()
+    vertices = base_mesh().vertices.double()
+    coordinates = poses.draw(1, generator(0)).double()
+
+    def scale(coordinates: Tensor, vertices: Tensor) -> Tensor:
+        return poses(coordinates, vertices).scale
+
+    inputs = (coordinates.requires_grad_(), vertices[:, ::10].clone().requires_grad_())
+    assert torch.autograd.gradcheck(scale, inputs)

@@ -1,0 +1,70 @@
+"""Shapes of the full model."""
+
+import math
+
+import torch
+
+from pipeline.geometry.symmetry import mirror_index, reflect
+from pipeline.networks.decoders import FreeFormShapes, OffsetShapes, ShapeDecoder
+from pipeline.seeding import generator, initialised
+from tests.tiny_full_model import base_mesh
+
+BASE = base_mesh().vertices[0]
+
+
+def free_form(mirror: bool) -> FreeFormShapes:
+    return FreeFormShapes(BASE, grid_reach=0.1, dimension_reach=0.5, mirror=mirror)
+
+
+def test_zero_parameters_are_the_base_shape() -> None:
+    for shapes in (free_form(mirror=True), OffsetShapes(BASE, 0.1, mirror=True)):
+        vertices = shapes(torch.zeros(2, shapes.parameter_count))
+        torch.testing.assert_close(vertices, BASE.expand(2, -1, -1), atol=1e-6, rtol=0)
+
+
+def test_last_parameters_are_relative_dimensions() -> None:
+    shapes = free_form(mirror=True)
+    parameters = torch.zeros(1, shapes.parameter_count)
+    parameters[0, -3] = 1
+    before, after = (v.amax(0) - v.amin(0) for v in (BASE, shapes(parameters)[0]))
+    torch.testing.assert_close((after / after[2]) / (before / before[2]), torch.tensor([math.exp(0.5), 1.0, 1.0]))
+
+
+def test_one_control_point_moves_its_own_corner_most() -> None:
+    shapes = free_form(mirror=False)
+    parameters = torch.zeros(1, shapes.parameter_count)
+    parameters[0, 3 * 63 : 3 * 64] = 1  # the corner at (+, +, +)
+    moved = shapes(parameters)[0] - BASE
+    distances = (BASE - 0.5).norm(dim=1)
+    assert moved[distances.argmin()].norm() > 3 * moved[distances.argmax()].norm()
+
+
+def test_mirrored_shapes_are_symmetric_and_fit_the_unit_cube() -> None:
+    mirror = mirror_index(BASE)
+    for shapes in (free_form(mirror=True), OffsetShapes(BASE, 0.1, mirror=True)):
+        vertices = shapes(torch.randn(4, shapes.parameter_count, generator=generator(0)))
+        torch.testing.assert_close(reflect(vertices)[:, mirror], vertices, atol=1e-6, rtol=0)
+        torch.testing.assert_close((vertices.amax(1) - vertices.amin(1)).amax(1), torch.ones(4))
+
+
+def test_without_mirroring_shapes_are_not_symmetric() -> None:
+    mirror = mirror_index(BASE)
+    for shapes in (free_form(mirror=False), OffsetShapes(BASE, 0.1, mirror=False)):
+        vertices = shapes(torch.randn(4, shapes.parameter_count, generator=generator(0)))
+        assert (reflect(vertices)[:, mirror] - vertices).abs().amax() > 0.02
+
+
+def test_random_ellipsoids_are_smooth() -> None:
+    shapes = OffsetShapes(BASE, 0.1, mirror=True)
+    vertices = shapes(shapes.draw(1, 0.3, generator(0)))[0]
+    stretch = (vertices.amax(0) - vertices.amin(0)) / (BASE.amax(0) - BASE.amin(0))
+    middle = (vertices.amax(0) + vertices.amin(0)) / 2 - stretch * (BASE.amax(0) + BASE.amin(0)) / 2
+    torch.testing.assert_close(vertices, BASE * stretch + middle, atol=1e-5, rtol=0)
+    assert (stretch / stretch[2] - 1).abs().amax() > 0.02
+
+
+def test_decoder_starts_near_the_base_shape() -> None:
+    with initialised(0):
+        decoder = ShapeDecoder(8, 16, 195)
+    parameters = decoder(torch.randn(4, 8, generator=generator(0)))
+    assert 0 < parameters.abs().amax() < 0.02
