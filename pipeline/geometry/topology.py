@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from pipeline.errors import MeshError
@@ -54,3 +54,9 @@ def euler_characteristic(faces: Int[Tensor, "F 3"]) -> int:
     """Count vertices - edges + faces of a closed mesh: 2 for one of genus 0."""
     topology = topology_of(faces)
     return len(topology.degrees) - len(topology.edges) + len(faces)
+
+
+def polygon_areas(vertices: Float[Tensor, "*B V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "*B F"]:
+    """Measure the area of each face. Gradients flow to `vertices`."""
+    a, b, c = vertices[..., faces, :].unbind(dim=-2)
+    return torch.linalg.vector_norm(torch.linalg.cross(b - a, c - a), dim=-1) / 2

@@ -1,0 +1,107 @@
+"""Cutting a mirror-symmetric mesh at the plane x = 0 and putting it together again."""
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from pipeline.errors import MeshError
+from pipeline.geometry.symmetry import mirror_index, reflect, symmetrize
+
+
+def cut_half(
+    vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], directions: Float[Tensor, "V 3"]
+) -> tuple[Float[Tensor, "W 3"], Int[Tensor, "H 3"]]:
+    """Return the half of a closed mesh whose directions have x >= 0: a disk with its border on the plane x = 0.
+
+    `directions` are the vertices' mirror-symmetric points on the unit sphere. They say which side a vertex belongs to,
+    even where a deformation pushed it across the plane. Positions are made symmetric; edges across the plane are cut in
+    their middle. Raise MeshError when the faces are not mirror-symmetric.
+    """
+    mirror = mirror_index(directions)
+    side = directions[:, 0].sign().masked_fill(mirror == torch.arange(len(mirror)), 0)
+    face_side = side[faces]
+    whole = faces[(face_side >= 0).all(dim=1)]
+    straddling = (face_side.amin(dim=1) < 0) & (face_side.amax(dim=1) > 0)
+    plane_corner = (face_side[straddling] == 0).long().argmax(dim=1, keepdim=True)
+    apex, first, second = faces[straddling].gather(1, (plane_corner + torch.arange(3)) % 3).unbind(dim=1)
+    if not torch.equal(mirror[first], second):
+        raise MeshError("the faces are not mirror-symmetric about x = 0: expected a face on the plane to mirror itself")
+    pairs, middle = torch.stack([first, second], dim=1).sort(dim=1).values.unique(dim=0, return_inverse=True)
+    middle = middle + len(vertices)
+    kept_first = side[first] > 0
+    cut = torch.stack([apex, torch.where(kept_first, first, middle), torch.where(kept_first, middle, second)], dim=1)
+    symmetric = symmetrize(vertices, mirror)
+    used, half_faces = torch.cat([whole, cut]).unique(return_inverse=True)
+    return torch.cat([symmetric, symmetric[pairs].mean(dim=1)])[used], half_faces
+
+
+def join_halves(
+    vertices: Float[Tensor, "W 3"], faces: Int[Tensor, "H 3"]
+) -> tuple[Float[Tensor, "V 3"], Int[Tensor, "F 3"]]:
+    """Weld a disk to its mirror image along its border, which is moved onto the plane x = 0.
+
+    The first W vertices and H faces of the result are the disk's; the result is symmetric to the last bit.
+    """
+    on_border = border_mask(faces)
+    vertices = flatten_border(vertices, on_border)
+    partner = torch.arange(len(vertices))
+    partner[~on_border] = len(vertices) + torch.arange(int((~on_border).sum()))
+    return torch.cat([vertices, reflect(vertices[~on_border])]), torch.cat([faces, partner[faces].flip(1)])
+
+
+def flatten_border(vertices: Float[Tensor, "W 3"], on_border: Bool[Tensor, " W"]) -> Float[Tensor, "W 3"]:
+    """Move border vertices onto the plane x = 0."""
+    x, rest = vertices.split([1, 2], dim=1)
+    return torch.cat([x.masked_fill(on_border[:, None], 0), rest], dim=1)
+
+
+def border_edges(faces: Int[Tensor, "H 3"]) -> Int[Tensor, "N 2"]:
+    """List the edges of a mesh with one face only, in that face's sense of rotation."""
+    vertex_count = int(faces.max()) + 1
+    start, end = faces.flatten(), faces.roll(-1, dims=1).flatten()
+    alone = ~torch.isin(start * vertex_count + end, end * vertex_count + start)
+    return torch.stack([start[alone], end[alone]], dim=1)
+
+
+def border_mask(faces: Int[Tensor, "H 3"]) -> Bool[Tensor, " W"]:
+    """Tell which vertices lie on the border of a disk."""
+    mask = torch.zeros(int(faces.max()) + 1, dtype=torch.bool)
+    mask[border_edges(faces)] = True
+    return mask
+
+
+def border_loop(faces: Int[Tensor, "H 3"]) -> Int[Tensor, " N"]:
+    """Walk around the border of a disk in the sense of rotation of its faces.
+
+    Raise MeshError when the border is not one simple loop.
+    """
+    edges = border_edges(faces)
+    following = dict(edges.tolist())
+    loop = [int(edges[0, 0])]
+    while len(loop) < len(edges) and (vertex := following[loop[-1]]) != loop[0]:
+        loop.append(vertex)
+    if len(loop) < len(edges) or following[loop[-1]] != loop[0]:
+        raise MeshError("half of the mesh is not a disk, expected a border of one loop: the mesh needs genus 0")
+    return torch.tensor(loop)
+
+
+def split_chords(
+    vertices: Float[Tensor, "W 3"], faces: Int[Tensor, "H 3"]
+) -> tuple[Float[Tensor, "X 3"], Int[Tensor, "G 3"]]:
+    """Split every inner edge between two border vertices of a disk in its middle.
+
+    Such an edge would coincide with its mirror image once the halves are joined.
+    """
+    while True:
+        on_border = border_mask(faces)
+        start, end = faces.flatten(), faces.roll(-1, dims=1).flatten()
+        border_key = border_edges(faces) @ torch.tensor([len(vertices), 1])
+        chord = on_border[start] & on_border[end] & ~torch.isin(start * len(vertices) + end, border_key)
+        if not chord.any():
+            return vertices, faces
+        ends = torch.stack([start, end], dim=1)[chord][0]
+        beside = torch.isin(faces, ends).sum(dim=1) == 2
+        middle = torch.tensor(len(vertices))
+        halves = [torch.where(faces[beside] == replaced, middle, faces[beside]) for replaced in ends]
+        vertices = torch.cat([vertices, vertices[ends].mean(dim=0, keepdim=True)])
+        faces = torch.cat([faces[~beside], *halves])

@@ -1,0 +1,56 @@
+"""The two filters of MeshLab that the pipeline uses."""
+
+# pyright: reportAttributeAccessIssue=false
+# pymeshlab is a compiled module that ships no type stubs.
+
+import numpy as np
+import pymeshlab
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+
+def isotropic_remeshing(
+    vertices: Float[Tensor, "V 3"],
+    faces: Int[Tensor, "F 3"],
+    edge_length: float,
+    iterations: int,
+    feature_angle: float,
+    surface_tolerance: float,
+) -> tuple[Float[Tensor, "W 3"], Int[Tensor, "H 3"]]:
+    """Split, collapse, flip, relax and project back until edges are about `edge_length` long.
+
+    Borders stay borders. Edges bent more than `feature_angle` degrees are kept; no step may move the surface by more
+    than `surface_tolerance` percent of the diagonal.
+    """
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(_mesh(vertices, faces))
+    meshes.meshing_isotropic_explicit_remeshing(
+        iterations=iterations,
+        targetlen=pymeshlab.PureValue(edge_length),
+        featuredeg=feature_angle,
+        maxsurfdist=pymeshlab.PercentageValue(surface_tolerance),
+    )
+    result = meshes.current_mesh()
+    return torch.from_numpy(result.vertex_matrix().copy()), torch.from_numpy(result.face_matrix().astype(np.int64))
+
+
+def one_sided_distance(
+    sampled: tuple[Float[Tensor, "V 3"], Int[Tensor, "F 3"]],
+    target: tuple[Float[Tensor, "W 3"], Int[Tensor, "H 3"]],
+    splits: int,
+) -> dict[str, float]:
+    """Measure how far one surface strays from another: `max` and `mean` over the samples.
+
+    Samples are the corners after every edge of the sampled mesh was split in two, `splits` times.
+    """
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(_mesh(*target))
+    meshes.add_mesh(_mesh(*sampled))
+    meshes.meshing_surface_subdivision_midpoint(iterations=splits, threshold=pymeshlab.PureValue(0))
+    result = meshes.get_hausdorff_distance(sampledmesh=1, targetmesh=0, maxdist=pymeshlab.PercentageValue(100))
+    return {"max": result["max"], "mean": result["mean"]}
+
+
+def _mesh(vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> pymeshlab.Mesh:
+    return pymeshlab.Mesh(vertices.double().numpy(), faces.int().numpy())

@@ -1,0 +1,141 @@
+"""One-to-one maps from a mirror-symmetric surface of genus 0 to the unit sphere, the domain of textures."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from pipeline.errors import MeshError
+from pipeline.geometry.halves import border_loop, border_mask, flatten_border
+from pipeline.geometry.topology import polygon_areas
+
+# Areas vanish below single precision in the first embedding of a long limb; their logarithms must not.
+SMALLEST_RATIO = 1e-12
+
+
+@dataclass(frozen=True)
+class SphereMapConfig:
+    """How areas are evened out."""
+
+    iterations: int
+    """Number of embeddings, each correcting the areas of the one before, at least 1."""
+    correction: float
+    """Power of the area ratio by which springs are stiffened in an iteration: 0 leaves a plain Tutte embedding."""
+
+
+def map_half_to_hemisphere(
+    vertices: Float[Tensor, "W 3"], faces: Int[Tensor, "H 3"], config: SphereMapConfig
+) -> Float[Tensor, "W 3"]:
+    """Map a disk with its border on the plane x = 0 one-to-one to the hemisphere x >= 0.
+
+    The border goes to the great circle x = 0. Springs along the edges embed the disk in the unit disk, which cannot
+    fold (Tutte 1963), and Lambert's equal-area projection lifts it to the hemisphere. Where the map enlarges the
+    surface the springs are stiffened and the embedding is repeated (after Yoshizawa, Belyaev & Seidel 2004); of all
+    iterations the one that distorts areas least is kept. Last, a turn about the x axis makes directions agree with
+    positions best. Return unit vectors in double precision. Raise MeshError when every embedding has a flipped
+    triangle.
+    """
+    vertices = vertices.double()
+    loop, on_border = border_loop(faces), border_mask(faces)
+    stiffness = _adjacency(faces)
+    spacing = (vertices[loop.roll(-1)] - vertices[loop]).norm(dim=1)
+    best, least_distortion = None, math.inf
+    for _ in range(config.iterations):
+        directions = _lift(_embed(stiffness, spacing, loop, on_border))
+        if (distortion := area_distortion(vertices, faces, directions)) < least_distortion:
+            best, least_distortion = directions, distortion
+        enlargement = _vertex_enlargement(vertices, faces, directions)
+        stiffness *= (enlargement[:, None] * enlargement).sqrt() ** config.correction
+        stiffness /= stiffness.max()
+        # A length goes with the root of an area.
+        spacing /= (enlargement[loop] * enlargement[loop.roll(-1)]).sqrt() ** (config.correction / 2)
+    if best is None:
+        raise MeshError(
+            "every map of the mesh to the sphere folds, expected one that does not: the mesh is too distorted"
+        )
+    return flatten_border(_turn_towards(best, vertices, faces), on_border)
+
+
+def solid_angles(directions: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, " F"]:
+    """Measure the areas of spherical triangles, negative where flipped (Van Oosterom & Strackee 1983).
+
+    `directions` are unit vectors; the result is in steradians.
+    """
+    a, b, c = directions[faces].unbind(dim=1)
+    volume = (a * torch.linalg.cross(b, c)).sum(dim=1)
+    return 2 * torch.atan2(volume, 1 + (a * b).sum(dim=1) + (b * c).sum(dim=1) + (c * a).sum(dim=1))
+
+
+def area_ratios(
+    vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], directions: Float[Tensor, "V 3"]
+) -> Float[Tensor, " F"]:
+    """Divide each face's share of the sphere by its share of the surface: 1 where the map keeps areas."""
+    areas, angles = polygon_areas(vertices, faces), solid_angles(directions, faces)
+    return (angles / angles.sum()) / (areas / areas.sum())
+
+
+def area_distortion(
+    vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], directions: Float[Tensor, "V 3"]
+) -> float:
+    """Average over the surface the factor, at least 1, between a face's shares of the sphere and of the surface.
+
+    Infinite when a spherical triangle is flipped or empty.
+    """
+    ratios = area_ratios(vertices, faces, directions)
+    if ratios.min() <= 0:
+        return math.inf
+    areas = polygon_areas(vertices, faces)
+    return (torch.maximum(ratios, 1 / ratios) * areas / areas.sum()).sum().item()
+
+
+def _adjacency(faces: Int[Tensor, "H 3"]) -> Float[Tensor, "W W"]:
+    vertex_count = int(faces.max()) + 1
+    adjacency = torch.zeros(vertex_count, vertex_count, dtype=torch.float64)
+    adjacency[faces, faces.roll(-1, dims=1)] = 1
+    return torch.maximum(adjacency, adjacency.T)
+
+
+def _embed(
+    stiffness: Float[Tensor, "W W"],
+    spacing: Float[Tensor, " N"],
+    loop: Int[Tensor, " N"],
+    on_border: Bool[Tensor, " W"],
+) -> Float[Tensor, "W 2"]:
+    """Spread the border over the unit circle by the spacing and let springs pull the other vertices between them."""
+    turn = 2 * math.pi * (spacing.cumsum(0) - spacing) / spacing.sum()
+    positions = stiffness.new_zeros(len(stiffness), 2)
+    positions[loop] = torch.stack([turn.cos(), turn.sin()], dim=1)
+    inner = ~on_border
+    laplacian = stiffness.sum(dim=1).diag() - stiffness
+    positions[inner] = torch.linalg.solve(laplacian[inner][:, inner], stiffness[inner] @ positions)
+    return positions
+
+
+def _lift(positions: Float[Tensor, "W 2"]) -> Float[Tensor, "W 3"]:
+    """Project the unit disk in y and z to the hemisphere x >= 0, keeping areas (Lambert 1772)."""
+    squared = positions.square().sum(dim=1, keepdim=True)
+    return torch.cat([1 - squared, positions * (2 - squared).sqrt()], dim=1)
+
+
+def _vertex_enlargement(
+    vertices: Float[Tensor, "W 3"], faces: Int[Tensor, "H 3"], directions: Float[Tensor, "W 3"]
+) -> Float[Tensor, " W"]:
+    """Average the area ratio around each vertex, geometrically."""
+    logarithms = area_ratios(vertices, faces, directions).clamp(min=SMALLEST_RATIO).log()
+    total = logarithms.new_zeros(len(vertices)).index_add(0, faces.flatten(), logarithms.repeat_interleave(3))
+    return (total / torch.bincount(faces.flatten())).exp()
+
+
+def _turn_towards(
+    directions: Float[Tensor, "W 3"], vertices: Float[Tensor, "W 3"], faces: Int[Tensor, "H 3"]
+) -> Float[Tensor, "W 3"]:
+    """Turn directions about the x axis so that they point where the surface is, seen from its centroid."""
+    weights = polygon_areas(vertices, faces)
+    centers = vertices[faces].mean(dim=1)
+    offsets = centers - (weights[:, None] * centers).sum(dim=0) / weights.sum()
+    moments = (weights[:, None] * directions[faces].mean(dim=1)).T @ offsets
+    angle = torch.atan2(moments[1, 2] - moments[2, 1], moments[1, 1] + moments[2, 2])
+    x, y, z = directions.unbind(dim=1)
+    return torch.stack([x, angle.cos() * y - angle.sin() * z, angle.sin() * y + angle.cos() * z], dim=1)

@@ -1,0 +1,34 @@
+"""Make the polygons of the base shape uniform and map it to the sphere (paper 3.1.7)."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.config import load
+from pipeline.files import load_tensors, save_tensors, write_json
+from pipeline.geometry.mesh_quality import measure_remeshing
+from pipeline.geometry.remeshing import IsotropicConfig, MappedMesh, remesh_isotropic
+from pipeline.geometry.sphere_map import SphereMapConfig
+from stages.command_line import parse, run
+
+
+@dataclass(frozen=True)
+class RemeshConfig:
+    """Settings of the stage."""
+
+    isotropic: IsotropicConfig
+    sphere_map: SphereMapConfig
+
+
+def main() -> None:
+    """Remesh a base shape; write the new mesh and how it compares with the old one."""
+    arguments = parse(__doc__, base_shape=Path, out=Path, metrics=Path)
+    config = load(arguments.params, RemeshConfig, arguments.sections)
+    tensors, _ = load_tensors(arguments.base_shape)
+    base_shape = MappedMesh(tensors["vertices"], tensors["faces"], tensors["directions"])
+    remeshed = remesh_isotropic(base_shape, config.isotropic, config.sphere_map)
+    save_tensors(arguments.out, remeshed._asdict(), {})
+    write_json(arguments.metrics, measure_remeshing(base_shape, remeshed))
+
+
+if __name__ == "__main__":
+    run(main)

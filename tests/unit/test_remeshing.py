@@ -1,0 +1,82 @@
+from collections.abc import Callable
+
+import pytest
+import torch
+
+from pipeline.errors import MeshError
+from pipeline.geometry.mesh_quality import area_variation, measure_map, measure_remeshing, surface_distance
+from pipeline.geometry.remeshing import IsotropicConfig, MappedMesh, remesh_isotropic
+from pipeline.geometry.sphere_map import SphereMapConfig
+from pipeline.geometry.symmetry import mirror_index, reflect
+from pipeline.geometry.topology import euler_characteristic
+from tests.deformed_spheres import SHAPES, deformed_sphere
+
+ISOTROPIC = IsotropicConfig(target_faces=1280, attempts=2, iterations=10, feature_angle=90.0, surface_tolerance=0.5)
+SPHERE_MAP = SphereMapConfig(iterations=60, correction=0.5)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_remeshed_surface(name: str) -> None:
+    original = MappedMesh(*deformed_sphere(name))
+    remeshed = remesh_isotropic(original, ISOTROPIC, SPHERE_MAP)
+    measured = measure_remeshing(original, remeshed)
+    assert euler_characteristic(remeshed.faces) == 2
+    assert 1100 < measured["faces_after"] < 1450
+    assert measured["area_variation_after"] < min(0.45, measured["area_variation_before"])
+    assert measured["hausdorff"] < 0.02
+    assert measured["map_flipped_faces"] == 0
+    assert measured["map_area_distortion"] < (1.6 if name == "horse" else 1.15)
+
+
+def test_result_is_symmetric_outward_and_the_same_every_time() -> None:
+    original = MappedMesh(*deformed_sphere("car"))
+    remeshed, again = (remesh_isotropic(original, ISOTROPIC, SPHERE_MAP) for _ in range(2))
+    mirror = mirror_index(remeshed.directions)
+    assert torch.equal(remeshed.vertices[mirror], reflect(remeshed.vertices))
+    assert torch.equal(remeshed.directions[mirror], reflect(remeshed.directions))
+    assert torch.linalg.det(remeshed.vertices[remeshed.faces]).sum() > 0
+    assert all(torch.equal(first, second) for first, second in zip(remeshed, again, strict=True))
+
+
+def without_a_face(mesh: MappedMesh) -> MappedMesh:
+    return mesh._replace(faces=mesh.faces[1:])
+
+
+def with_a_stray_vertex(mesh: MappedMesh) -> MappedMesh:
+    return mesh._replace(vertices=mesh.vertices.index_fill(0, torch.tensor(3), torch.nan))
+
+
+def with_two_spheres(mesh: MappedMesh) -> MappedMesh:
+    vertices, faces, directions = mesh
+    count = len(vertices)
+    return MappedMesh(vertices.repeat(2, 1), torch.cat([faces, faces + count]), directions.repeat(2, 1))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "sentence"),
+    [
+        (without_a_face, "not closed"),
+        (with_a_stray_vertex, "not finite"),
+        (with_two_spheres, "Euler characteristic 4"),
+    ],
+)
+def test_unusable_mesh_is_refused(spoil: Callable[[MappedMesh], MappedMesh], sentence: str) -> None:
+    with pytest.raises(MeshError, match=sentence):
+        remesh_isotropic(spoil(MappedMesh(*deformed_sphere("dented", 2))), ISOTROPIC, SPHERE_MAP)
+
+
+def test_distance_of_shifted_surfaces() -> None:
+    mesh = MappedMesh(*deformed_sphere("dented"))
+    shifted = mesh._replace(vertices=mesh.vertices + torch.tensor([0.0, 0.1, 0.0]))
+    diagonal = (mesh.vertices.amax(dim=0) - mesh.vertices.amin(dim=0)).norm().item()
+    distance = surface_distance(mesh, shifted)
+    assert 0.09 / diagonal < distance["hausdorff"] <= 0.1001 / diagonal
+    assert 0 < distance["mean_distance"] < distance["hausdorff"]
+
+
+def test_sphere_maps_to_itself_without_distortion() -> None:
+    vertices, faces, directions = deformed_sphere("dented", 4)
+    sphere = MappedMesh(directions, faces, directions)
+    assert area_variation(sphere) < 0.2
+    assert measure_map(sphere)["map_area_distortion"] < 1.001
+    assert measure_map(MappedMesh(vertices, faces, directions))["map_area_distortion"] > 1.1
