@@ -1,9 +1,30 @@
 """Interpolation of vertex attributes over the pixels."""
 
+from typing import Any
+
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from pipeline.rendering.rasterize import Fragments
+
+
+class _CompiledInterpolate(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, attributes: Tensor, faces: Tensor, face_index: Tensor, barycentric: Tensor) -> Tensor:
+        from pipeline.rendering import interpolate_cpu
+
+        inputs = [tensor.detach().contiguous() for tensor in (attributes, faces, face_index, barycentric)]
+        ctx.save_for_backward(*inputs)
+        return torch.from_numpy(interpolate_cpu.interpolate(*(tensor.numpy() for tensor in inputs)))
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None, Tensor]:
+        from pipeline.rendering import interpolate_cpu
+
+        inputs = (tensor.numpy() for tensor in ctx.saved_tensors)
+        attributes, barycentric = interpolate_cpu.interpolate_backward(*inputs, gradients[0].contiguous().numpy())
+        return torch.from_numpy(attributes), None, None, torch.from_numpy(barycentric)
 
 
 def interpolate(
@@ -13,8 +34,17 @@ def interpolate(
 
     Gradients flow to the attributes and, through the barycentric coordinates, to the vertices.
     """
+    if attributes.is_cuda:
+        return interpolate_in_torch(attributes, faces, fragments)
+    return _CompiledInterpolate.apply(attributes, faces, *fragments)
+
+
+def interpolate_in_torch(
+    attributes: Float[Tensor, "B V C"], faces: Int[Tensor, "F 3"], fragments: Fragments
+) -> Float[Tensor, "B H W C"]:
+    """Interpolate in tensor operations on any device."""
     picture, row, column = (fragments.face_index >= 0).nonzero(as_tuple=True)
     corners = attributes[picture[:, None], faces[fragments.face_index[picture, row, column]]]
     values = (fragments.barycentric[picture, row, column][..., None] * corners).sum(dim=1)
-    result = attributes.new_zeros(*fragments.face_index.shape, attributes.shape[-1])
-    return result.index_put((picture, row, column), values)
+    background = attributes.new_zeros(*fragments.face_index.shape, attributes.shape[-1])
+    return background.index_put((picture, row, column), values)

@@ -1,10 +1,12 @@
 """Rasterisation: which face each pixel shows, and where on that face."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+
+from pipeline.rendering import rasterize_torch
 
 
 class Fragments(NamedTuple):
@@ -16,26 +18,26 @@ class Fragments(NamedTuple):
     """Perspective-correct weights of that face's corners, summing to 1; 0 in the background."""
 
 
-def pixel_centers(size: int, like: Tensor) -> Float[Tensor, "H W 2"]:
-    """Return the ndc of every pixel's centre; row 0 is the top."""
-    steps = (2 * torch.arange(size, dtype=like.dtype, device=like.device) + 1) / size - 1
-    return torch.stack(torch.meshgrid(steps, -steps, indexing="xy"), dim=-1)
+class _CompiledRasterize(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, vertices_ndc: Tensor, faces: Tensor, size: int) -> tuple[Tensor, Tensor]:
+        from pipeline.rendering import rasterize_cpu
 
+        vertices = vertices_ndc.detach().contiguous()
+        face_index = rasterize_cpu.nearest_faces(vertices.numpy(), faces.numpy(), size)
+        barycentric = rasterize_cpu.barycentric_coordinates(vertices.numpy(), faces.numpy(), face_index)
+        result = torch.from_numpy(face_index), torch.from_numpy(barycentric)
+        ctx.save_for_backward(vertices, faces, result[0])
+        ctx.mark_non_differentiable(result[0])
+        return result
 
-def barycentric_coordinates(
-    vertices_ndc: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], face_index: Int[Tensor, "B H W"]
-) -> Float[Tensor, "B H W 3"]:
-    """Return perspective-correct barycentric coordinates of pixel centres on given faces, 0 in the background."""
-    picture, row, column = (face_index >= 0).nonzero(as_tuple=True)
-    centers = pixel_centers(face_index.shape[1], vertices_ndc)[row, column]
-    corners = vertices_ndc[picture[:, None], faces[face_index[picture, row, column]]]
-    to_corner = corners[..., :2] - centers[:, None]
-    following, preceding = to_corner.roll(-1, dims=1), to_corner.roll(-2, dims=1)
-    opposite_area = following[..., 0] * preceding[..., 1] - following[..., 1] * preceding[..., 0]
-    weights = opposite_area / corners[..., 2]
-    weights = weights / weights.sum(dim=1, keepdim=True)
-    result = vertices_ndc.new_zeros(*face_index.shape, 3)
-    return result.index_put((picture, row, column), weights)
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:
+        from pipeline.rendering import rasterize_cpu
+
+        vertices, faces, face_index = (tensor.numpy() for tensor in ctx.saved_tensors)
+        gradient = gradients[1].contiguous().numpy()
+        return torch.from_numpy(rasterize_cpu.barycentric_backward(vertices, faces, face_index, gradient)), None, None
 
 
 def rasterize(vertices_ndc: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], size: int) -> Fragments:
@@ -44,13 +46,7 @@ def rasterize(vertices_ndc: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], s
     Both sides of a face are seen. Faces with a corner behind the camera and faces without area are left out.
     Gradients flow from the barycentric coordinates to the vertices.
     """
-    with torch.no_grad():
-        if vertices_ndc.is_cuda:
-            from pipeline.rendering.rasterize_torch import nearest_faces
-
-            face_index = nearest_faces(vertices_ndc, faces, size)
-        else:
-            from pipeline.rendering import rasterize_cpu
-
-            face_index = torch.from_numpy(rasterize_cpu.nearest_faces(vertices_ndc.numpy(), faces.numpy(), size))
-    return Fragments(face_index, barycentric_coordinates(vertices_ndc, faces, face_index))
+    if vertices_ndc.is_cuda:
+        face_index = rasterize_torch.nearest_faces(vertices_ndc, faces, size)
+        return Fragments(face_index, rasterize_torch.barycentric_coordinates(vertices_ndc, faces, face_index))
+    return Fragments(*_CompiledRasterize.apply(vertices_ndc, faces.contiguous(), size))

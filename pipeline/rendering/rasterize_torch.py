@@ -11,6 +11,7 @@ CANDIDATES_AT_ONCE = 1 << 22
 """About how many pairs of a face and a pixel are tested in one go: a bound on memory."""
 
 
+@torch.no_grad()
 def nearest_faces(vertices_ndc: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], size: int) -> Int[Tensor, "B H W"]:
     """Return the nearest face at every pixel's centre, -1 in the background."""
     x, y, depth = vertices_ndc.double()[:, faces].flatten(0, 1).unbind(-1)
@@ -29,8 +30,7 @@ def nearest_faces(vertices_ndc: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"
         column = first_column[owner] + position % width[owner]
         row = first_row[owner] + position // width[owner]
         to_x, to_y = x[owner] - column[:, None], y[owner] - row[:, None]
-        following_x, following_y = to_x.roll(-1, dims=1), to_y.roll(-1, dims=1)
-        opposite_area = (following_x * to_y.roll(-2, dims=1) - following_y * to_x.roll(-2, dims=1)) / area[owner, None]
+        opposite_area = _opposite_areas(to_x, to_y) / area[owner, None]
         inside = (opposite_area >= 0).all(dim=1)
         seen_depth = 1 / (opposite_area[inside] / depth[owner[inside]]).sum(dim=1)
         # Positive floats compare like their bits; below them the face's index breaks ties.
@@ -39,3 +39,26 @@ def nearest_faces(vertices_ndc: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"
         nearest.scatter_reduce_(0, pixel, key, "amin")
     face_index = torch.where(nearest == torch.iinfo(torch.int64).max, -1, nearest & 0xFFFFFFFF)
     return face_index.reshape(-1, size, size)
+
+
+def barycentric_coordinates(
+    vertices_ndc: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], face_index: Int[Tensor, "B H W"]
+) -> Float[Tensor, "B H W 3"]:
+    """Return perspective-correct barycentric coordinates of pixel centres on given faces, 0 in the background.
+
+    Gradients flow to the vertices.
+    """
+    size = face_index.shape[1]
+    picture, row, column = (face_index >= 0).nonzero(as_tuple=True)
+    corners = vertices_ndc[picture[:, None], faces[face_index[picture, row, column]]]
+    to_x = corners[..., 0] - ((2 * column + 1) / size - 1)[:, None]
+    to_y = corners[..., 1] - (1 - (2 * row + 1) / size)[:, None]
+    weights = _opposite_areas(to_x, to_y) / corners[..., 2]
+    weights = weights / weights.sum(dim=1, keepdim=True)
+    background = vertices_ndc.new_zeros(*face_index.shape, 3)
+    return background.index_put((picture, row, column), weights)
+
+
+def _opposite_areas(to_x: Float[Tensor, "N 3"], to_y: Float[Tensor, "N 3"]) -> Float[Tensor, "N 3"]:
+    """Return twice the areas of the triangles that a point spans with each corner's opposite edge."""
+    return to_x.roll(-1, 1) * to_y.roll(-2, 1) - to_y.roll(-1, 1) * to_x.roll(-2, 1)

@@ -1,18 +1,28 @@
 """Textures on the sphere of directions, stored as equirectangular maps."""
 
 from math import pi
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 
-def equirectangular_coordinates(directions: Float[Tensor, "*N 3"]) -> tuple[Float[Tensor, "*N"], Float[Tensor, "*N"]]:
-    """Return u and v in [0, 1] of directions of any length: u = .5 is the front (+z), .75 is +x, v = 0 is up (+y)."""
-    x, y, z = directions.unbind(-1)
-    around = torch.atan2(x, z)
-    upward = torch.atan2(y, (x * x + z * z + 1e-12).sqrt())
-    return 0.5 + around / (2 * pi), 0.5 - upward / pi
+class _CompiledSample(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, texture_maps: Tensor, directions: Tensor) -> Tensor:
+        from pipeline.rendering import texture_cpu
+
+        inputs = [tensor.detach().contiguous() for tensor in (texture_maps, directions)]
+        ctx.save_for_backward(*inputs)
+        return torch.from_numpy(texture_cpu.sample(*(tensor.numpy() for tensor in inputs)))
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, ...]:
+        from pipeline.rendering import texture_cpu
+
+        inputs = (tensor.numpy() for tensor in ctx.saved_tensors)
+        return tuple(map(torch.from_numpy, texture_cpu.sample_backward(*inputs, gradients[0].contiguous().numpy())))
 
 
 def sample_sphere_texture(
@@ -20,11 +30,24 @@ def sample_sphere_texture(
 ) -> Float[Tensor, "B 3 H W"]:
     """Look up equirectangular maps along directions, bilinearly.
 
-    Columns wrap around, so there is no seam; rows end at the poles. Directions need no unit length.
-    Gradients flow to the maps and to the directions.
+    The middle column is the front (+z), three quarters to the right is +x, and the first row is up (+y). Columns wrap
+    around, so there is no seam; rows end at the poles. Directions need no unit length; the zero direction, which
+    `interpolate` gives the background, is black. Gradients flow to the maps and to the directions.
     """
+    if texture_maps.is_cuda:
+        return sample_in_torch(texture_maps, directions)
+    return _CompiledSample.apply(texture_maps, directions)
+
+
+def sample_in_torch(
+    texture_maps: Float[Tensor, "B 3 T T"], directions: Float[Tensor, "B H W 3"]
+) -> Float[Tensor, "B 3 H W"]:
+    """Look up textures in tensor operations on any device."""
     size = texture_maps.shape[-1]
-    u, v = equirectangular_coordinates(directions)
+    x, y, z = directions.unbind(-1)
+    around = torch.atan2(x, z) / pi
+    upward = torch.atan2(y, (x * x + z * z + 1e-12).sqrt()) * 2 / pi
     wrapped = torch.cat((texture_maps[..., -1:], texture_maps, texture_maps[..., :1]), dim=-1)
-    grid = torch.stack(((2 * u - 1) * size / (size + 2), 2 * v - 1), dim=-1)
-    return torch.nn.functional.grid_sample(wrapped, grid, mode="bilinear", padding_mode="border", align_corners=False)
+    grid = torch.stack((around * size / (size + 2), -upward), dim=-1)
+    colors = torch.nn.functional.grid_sample(wrapped, grid, padding_mode="border", align_corners=False)
+    return colors * directions.any(dim=-1)[:, None]

@@ -1,0 +1,65 @@
+"""Compiled interpolation for the CPU, parallel over pictures; importing this module imports numba."""
+
+from typing import no_type_check
+
+import numpy as np
+from jaxtyping import Float, Int
+from numba import njit, prange
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def interpolate(
+    attributes: Float[np.ndarray, "B V C"],
+    faces: Int[np.ndarray, "F 3"],
+    face_index: Int[np.ndarray, "B H W"],
+    barycentric: Float[np.ndarray, "B H W 3"],
+) -> Float[np.ndarray, "B H W C"]:
+    """Return interpolated attributes, 0 in the background."""
+    batch, size = face_index.shape[:2]
+    channels = attributes.shape[2]
+    values = np.zeros((batch, size, size, channels), attributes.dtype)
+    for picture in prange(batch):
+        for row in range(size):
+            for column in range(size):
+                face = face_index[picture, row, column]
+                if face >= 0:
+                    a, b, c = faces[face]
+                    weight = barycentric[picture, row, column]
+                    for channel in range(channels):
+                        values[picture, row, column, channel] = (
+                            weight[0] * attributes[picture, a, channel]
+                            + weight[1] * attributes[picture, b, channel]
+                            + weight[2] * attributes[picture, c, channel]
+                        )
+    return values
+
+
+@njit(cache=True, parallel=True)
+@no_type_check
+def interpolate_backward(
+    attributes: Float[np.ndarray, "B V C"],
+    faces: Int[np.ndarray, "F 3"],
+    face_index: Int[np.ndarray, "B H W"],
+    barycentric: Float[np.ndarray, "B H W 3"],
+    gradient: Float[np.ndarray, "B H W C"],
+) -> tuple[Float[np.ndarray, "B V C"], Float[np.ndarray, "B H W 3"]]:
+    """Return the gradients with respect to attributes and barycentric coordinates."""
+    batch, size = face_index.shape[:2]
+    attribute_gradient = np.zeros_like(attributes)
+    barycentric_gradient = np.zeros_like(barycentric)
+    for picture in prange(batch):
+        for row in range(size):
+            for column in range(size):
+                face = face_index[picture, row, column]
+                if face >= 0:
+                    for corner in range(3):
+                        vertex = faces[face, corner]
+                        weight = barycentric[picture, row, column, corner]
+                        slope = 0.0
+                        for channel in range(attributes.shape[2]):
+                            upstream = gradient[picture, row, column, channel]
+                            attribute_gradient[picture, vertex, channel] += weight * upstream
+                            slope += upstream * attributes[picture, vertex, channel]
+                        barycentric_gradient[picture, row, column, corner] = slope
+    return attribute_gradient, barycentric_gradient
