@@ -23,11 +23,21 @@ class Entry(NamedTuple):
     """What the file holds; None for a folder."""
 
 
+class _Member(tarfile.TarInfo):
+    """A tar's header that takes the end of the file for damage: a whole tar ends with a block of zeros."""
+
+    @classmethod
+    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> tarfile.TarInfo:
+        if not buf:
+            raise EOFError("it has no end")
+        return super().frombuf(buf, encoding, errors)
+
+
 def read_tree(path: Path) -> Iterator[Entry]:
     """Yield every entry of a folder, a zip or a tar (plain, gz, bz2, xz), in the order it is stored.
 
-    Raises DataError if the source is missing, truncated or damaged, or holds an entry that points outside of it: an absolute path, a
-    path with `..`, a link or a device.
+    Raises DataError if the source is missing, truncated or damaged, or holds an entry that points outside of it: an
+    absolute path, a path with `..`, a link or a device.
     """
     if path.is_dir():
         yield from _read_folder(path)
@@ -59,13 +69,16 @@ def _read_zip(path: Path) -> Iterator[Entry]:
 
 
 def _read_tar(path: Path) -> Iterator[Entry]:
-    with tarfile.open(path, "r|*") as archive:
+    with tarfile.open(path, "r|*", tarinfo=_Member) as archive:
         for member in archive:
             name = _inside(path, member.name)
             if not (member.isfile() or member.isdir()):
                 raise DataError(f"{path}: '{member.name}' is a link or a device; expected only files and folders")
             stream = archive.extractfile(member)
-            yield Entry(name, stream.read() if stream else None)
+            content = stream.read() if stream else None
+            if content is not None and len(content) < member.size:
+                raise EOFError(f"'{name}' ends early")
+            yield Entry(name, content)
 
 
 def _inside(path: Path, name: str) -> PurePosixPath:

@@ -67,7 +67,7 @@ def read_cifar10(path: Path, config: Cifar10Config) -> Dataset:
 
 
 def load_plain(content: bytes, name: str) -> dict[bytes, Any]:
-    """Read a pickled dictionary of plain data. Raises DataError, naming the file, if it is damaged or holds anything else."""
+    """Read a pickled dictionary of plain data. Raises DataError, naming the file, if it holds anything else."""
     try:
         loaded = PlainUnpickler(io.BytesIO(content), encoding="bytes").load()
     except (pickle.UnpicklingError, EOFError, ValueError, TypeError, AttributeError, IndexError, KeyError) as error:
@@ -92,6 +92,7 @@ def _by_category(
     rows = np.concatenate([batch[b"data"] for batch in batches])
     labels = np.concatenate([batch[b"labels"] for batch in batches])
     if rows.dtype != np.uint8 or rows.shape != (len(labels), 3 * 32 * 32):
-        raise DataError(f"{path} holds rows of shape {rows.shape[1:]}, {rows.dtype}; expected (3072,), uint8: 32x32 px in RGB")
+        found = f"{rows.shape[1:]}, {rows.dtype}"
+        raise DataError(f"{path} holds rows of shape {found}; expected (3072,), uint8: 32x32 px in RGB")
     images = rows.reshape(-1, 3, 32, 32).transpose(0, 2, 3, 1)
     return {name: images[labels == label] for label, name in enumerate(names)}

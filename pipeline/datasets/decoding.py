@@ -12,16 +12,16 @@ from pipeline.errors import DataError
 Fit = Literal["crop", "pad"]
 """How a picture becomes square.
 
-`crop` brings its short side to the wanted size and cuts the long side to the middle; `pad` brings its long side to that size and continues
-the border pixels along the short one.
+`crop` brings its short side to the wanted size and cuts the long side to the middle; `pad` brings its long side to that
+size and continues the border pixels along the short one.
 """
 
 
 def decode(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, "size size 3"]:
     """Decode an RGB picture (JPEG, PNG, ...), turned upright as its EXIF data says.
 
-    Pictures are made smaller, never larger. Raises DataError, naming the picture, if it cannot be read to its end, is not RGB, or is too
-    small.
+    Pictures are made smaller, never larger. Raises DataError, naming the picture, if it cannot be read to its end, is
+    not RGB, or is too small.
     """
     try:
         picture = ImageOps.exif_transpose(Image.open(io.BytesIO(content)))
@@ -29,11 +29,11 @@ def decode(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, 
     except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
         raise DataError(f"{name} cannot be read as a picture ({error}); replace or remove it") from None
     if picture.mode != "RGB":
-        raise DataError(f"{name} has the colour mode {picture.mode}; expected RGB with 8 bits a channel; convert or remove it")
+        raise DataError(f"{name} has the colour mode {picture.mode}; expected RGB; convert or remove it")
     side = min(picture.size) if fit == "crop" else max(picture.size)
     if side < size:
-        which = "short" if fit == "crop" else "long"
-        raise DataError(f"{name} is {picture.width}x{picture.height} px; expected at least {size} px along the {which} side")
+        which, found = "short" if fit == "crop" else "long", f"{picture.width}x{picture.height}"
+        raise DataError(f"{name} is {found} px; expected at least {size} px along the {which} side")
     return _square(np.asarray(_scaled(picture, size / side)), size)
 
 

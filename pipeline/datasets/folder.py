@@ -34,7 +34,7 @@ class FolderConfig:
 def read_folder(path: Path, config: FolderConfig) -> Dataset:
     """Read all pictures at `[anything/]<split>/<category>/<name>`; other files are left out.
 
-    Raises DataError for a source or picture that cannot be used, and for a category without pictures in one of the splits.
+    Raises DataError for a source or picture that cannot be used, and for a category without pictures in one split.
     """
     found: dict[str, dict[str, Pictures]] = {split: {} for split in SPLITS}
     for name, content in tqdm(read_tree(path), desc=f"reading {path.name}", disable=None):
@@ -51,9 +51,7 @@ def _hidden(name: PurePosixPath) -> bool:
     return any(part.startswith((".", "__MACOSX")) for part in name.parts)
 
 
-def _stacked(
-    path: Path, split: str, found: dict[str, dict[str, Pictures]]
-) -> dict[str, UInt8[np.ndarray, "_ H W 3"]]:
+def _stacked(path: Path, split: str, found: dict[str, dict[str, Pictures]]) -> dict[str, UInt8[np.ndarray, "_ H W 3"]]:
     """Stack one split's pictures by category, in the order of their names."""
     categories = sorted({category for group in found.values() for category in group})
     if not categories:

@@ -10,7 +10,6 @@ from jaxtyping import UInt8
 from pipeline.datasets.truth import GroundTruth
 from pipeline.files import atomic_path, write_json
 
-
 SPLITS = ("train", "test")
 
 

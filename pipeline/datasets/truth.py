@@ -7,7 +7,7 @@ from jaxtyping import Float, Int, UInt8
 
 
 class GroundTruth(NamedTuple):
-    """What is true of the pictures of one category in one split, in the conventions of `pipeline.geometry.camera.Pose`."""
+    """What is true of one category's pictures, in the conventions of `pipeline.geometry.camera.Pose`."""
 
     azimuth: Float[np.ndarray, "B"]
     """Radians."""
@@ -24,7 +24,7 @@ class GroundTruth(NamedTuple):
     vertices: Float[np.ndarray, "B V 3"]
     """World space, fitted into the unit cube; the front faces +z, the mirror plane is x = 0."""
     faces: Int[np.ndarray, "F 3"]
-    """Counter-clockwise from outside. Parts are closed and may overlap: inside is where the winding number is positive."""
+    """Counter-clockwise from outside. Parts are closed and may overlap: inside, the winding number is positive."""
 
 
 def concatenate(truths: list[GroundTruth]) -> GroundTruth:

@@ -1,0 +1,73 @@
+"""Folders and archives are read alike, and nothing outside of them is reachable."""
+
+import zipfile
+from pathlib import Path, PurePosixPath
+
+import pytest
+
+from pipeline.datasets.archives import read_tree
+from pipeline.errors import DataError
+from tests.picture_trees import tree, write_folder, write_tar, write_zip
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    return {str(name): content for name, content in read_tree(path) if content is not None}
+
+
+def test_every_form_holds_the_same(tmp_path: Path) -> None:
+    files = tree()
+    assert contents(write_folder(tmp_path / "folder", files)) == files
+    assert contents(write_zip(tmp_path / "pictures.zip", files)) == files
+    for ending in ("tar", "tar.gz", "tar.xz", "tar.bz2"):
+        assert contents(write_tar(tmp_path / f"pictures.{ending}", files)) == files
+
+
+@pytest.mark.parametrize("ending", ["tar", "tar.gz", "tar.xz", "zip"])
+@pytest.mark.parametrize("share", [0.1, 0.5, 0.65])
+def test_a_truncated_archive_is_refused(tmp_path: Path, ending: str, share: float) -> None:
+    path = tmp_path / f"pictures.{ending}"
+    (write_zip if ending == "zip" else write_tar)(path, tree())
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(DataError, match=f"{path.name} is not a complete tar or zip archive"):
+        contents(path)
+
+
+def test_a_flipped_byte_in_a_zip_is_noticed(tmp_path: Path) -> None:
+    path = write_zip(tmp_path / "pictures.zip", tree())
+    content = bytearray(path.read_bytes())
+    content[500] ^= 255
+    path.write_bytes(content)
+    with pytest.raises(DataError, match="not a complete"):
+        contents(path)
+
+
+@pytest.mark.parametrize(
+    "name", ["../outside.jpg", "/etc/passwd", "train/../../outside.jpg", "C:\\pictures\\1.jpg", "..\\1.jpg"]
+)
+def test_a_path_that_leaves_the_archive_is_refused(tmp_path: Path, name: str) -> None:
+    with pytest.raises(DataError, match="points outside of the archive"):
+        contents(write_tar(tmp_path / "pictures.tar", {name: b"x"}))
+    with pytest.raises(DataError, match="points outside of the archive"):
+        contents(write_zip(tmp_path / "pictures.zip", {name: b"x"}))
+
+
+def test_a_link_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"'train/car/1.jpg' is a link"):
+        contents(write_tar(tmp_path / "pictures.tar", {}, {"train/car/1.jpg": "/etc/passwd"}))
+    link = zipfile.ZipInfo("train/car/1.jpg")
+    link.external_attr = 0o120777 << 16
+    with zipfile.ZipFile(tmp_path / "pictures.zip", "w") as archive:
+        archive.writestr(link, "/etc/passwd")
+    with pytest.raises(DataError, match=r"'train/car/1.jpg' is a link"):
+        contents(tmp_path / "pictures.zip")
+
+
+def test_a_missing_source_is_named(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match=r"pictures.tar does not exist"):
+        contents(tmp_path / "pictures.tar")
+
+
+def test_folders_are_entries_too(tmp_path: Path) -> None:
+    (tmp_path / "train" / "car").mkdir(parents=True)
+    assert [entry.name for entry in read_tree(tmp_path)] == [PurePosixPath("train"), PurePosixPath("train/car")]

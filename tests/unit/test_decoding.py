@@ -1,0 +1,73 @@
+"""Pictures become square arrays by a stated rule."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pipeline.datasets.decoding import decode
+from pipeline.errors import DataError
+from tests.picture_trees import noise, picture
+
+
+def halves(width: int, height: int) -> bytes:
+    """Encode a picture whose left half is red and whose right half is blue."""
+    pixels = np.zeros((height, width, 3), np.uint8)
+    pixels[:, : width // 2, 0] = pixels[:, width // 2 :, 2] = 255
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, "PNG")
+    return stream.getvalue()
+
+
+def test_a_picture_of_the_right_size_keeps_its_bytes() -> None:
+    expected = np.asarray(Image.open(io.BytesIO(noise(0))))
+    np.testing.assert_array_equal(decode(noise(0), "1.jpg", 32, "crop"), expected)
+    np.testing.assert_array_equal(decode(noise(0), "1.jpg", 32, "pad"), expected)
+
+
+def test_crop_fits_the_short_side() -> None:
+    pixels = decode(halves(200, 64), "1.png", 32, "crop")
+    assert pixels.shape == (32, 32, 3)
+    assert tuple(pixels[5, 5]) == (255, 0, 0)
+    assert tuple(pixels[5, -5]) == (0, 0, 255)
+
+
+def test_pad_fits_the_long_side_and_continues_the_border() -> None:
+    stripes = np.zeros((32, 64, 3), np.uint8)
+    stripes[:16] = 255
+    stream = io.BytesIO()
+    Image.fromarray(stripes).save(stream, "PNG")
+    pixels = decode(stream.getvalue(), "1.png", 32, "pad")
+    assert pixels.shape == (32, 32, 3)
+    assert (pixels[:14] > 240).all()
+    assert (pixels[-14:] < 15).all()
+
+
+def test_a_photograph_is_turned_upright() -> None:
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    stream = io.BytesIO()
+    Image.open(io.BytesIO(halves(32, 32))).save(stream, "PNG", exif=exif)
+    pixels = decode(stream.getvalue(), "1.png", 32, "crop")
+    assert tuple(pixels[0, 16]) == (255, 0, 0)
+    assert tuple(pixels[-1, 16]) == (0, 0, 255)
+
+
+@pytest.mark.parametrize("mode", ["L", "RGBA", "P", "1"])
+def test_another_colour_mode_is_refused(mode: str) -> None:
+    with pytest.raises(DataError, match=rf"car/7.png has the colour mode {mode}; expected RGB"):
+        decode(picture(mode=mode), "car/7.png", 32, "crop")
+
+
+@pytest.mark.parametrize("content", [b"", b"not a picture", noise(0)[:300], noise(0)[:-300]])
+def test_an_unreadable_picture_is_refused(content: bytes) -> None:
+    with pytest.raises(DataError, match=r"car/7.jpg cannot be read as a picture"):
+        decode(content, "car/7.jpg", 32, "crop")
+
+
+def test_a_picture_that_is_too_small_is_refused() -> None:
+    with pytest.raises(DataError, match=r"7.png is 64x20 px; expected at least 32 px along the short side"):
+        decode(picture(width=64, height=20), "7.png", 32, "crop")
+    with pytest.raises(DataError, match=r"7.png is 31x20 px; expected at least 32 px along the long side"):
+        decode(picture(width=31, height=20), "7.png", 32, "pad")
