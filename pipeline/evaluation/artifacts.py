@@ -80,7 +80,7 @@ def load_photographs(path: Path, index: Int[Tensor, " B"]) -> Float[Tensor, "B 3
 
 def load_true_split(folder: Path, split: str, category: str) -> Truth | None:
     """Read the ground truth of one split of a category, or return None where the dataset has none for it."""
-    if f"{split}/{category}" not in read_json(folder / "index.json"):
+    if category not in read_json(folder / "index.json"):
         return None
     with numpy.load(folder / split / f"{category}.npz", allow_pickle=False) as stored:
         tensors = {name: torch.from_numpy(stored[name]) for name in stored.files}

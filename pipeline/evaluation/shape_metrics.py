@@ -77,7 +77,7 @@ class TrueShapes:
         """Compare the training split's mean shape with every test picture's shape: the best a constant can do."""
         return mean_figure(iou(self.mean_shape.expand_as(self.voxels), self.voxels))
 
-    def seed_ious(self, seeds: Float[Tensor, "S V 3"], faces: Int[Tensor, "F 3"]) -> list[float]:
+    def seed_ious(self, seeds: Float[Tensor, "S V 3"], faces: Int[Tensor, "F 3"]) -> dict[str, float]:
         """Compare each seed's base shape with the mean shape, in the best of 24 turns about +y.
 
         Seeds that were not chosen have no poses to align them by, so this flatters each of them alike.
@@ -87,7 +87,7 @@ class TrueShapes:
             iou(voxels, self.mean_shape.expand_as(voxels))
             for voxels in (voxelize(fit_unit_cube(turned), faces, self._config.voxel_resolution) for turned in turns)
         ]
-        return torch.stack(overlaps).amax(0).tolist()
+        return {str(seed): overlap for seed, overlap in enumerate(torch.stack(overlaps).amax(0).tolist())}
 
 
 def silhouettes(

@@ -74,7 +74,7 @@ def write_report(inputs: ReportInputs, config: ReportConfig, page_folder: Path, 
         base_shape_section(seeds, inputs.seed_scores),
         example_section("best", "Best reconstructions", gallery, best, inputs.table, config.other_view),
         example_section("random", "Random reconstructions", gallery, random, inputs.table, config.other_view),
-        turn_section(gallery, random[: config.turntables], config.frames),
+        turn_section(gallery, random[: config.turntables], inputs.table["test_index"], config.frames),
         *pose_section(inputs.figures, inputs.table),
         curve_section(inputs.curves),
         metrics_section(inputs.figures, inputs.stage_figures),
@@ -98,10 +98,8 @@ def choose_examples(inputs: ReportInputs, config: ReportConfig) -> tuple[Int[Ten
 
 def write_page(folder: Path, inputs: ReportInputs, sections: Sequence[Section]) -> None:
     """Write the page into its folder."""
-    count, training = len(inputs.photographs), inputs.figures.get("alignment")
-    truth = " Viewpoints and shapes are compared with the ground truth." if training else ""
     introduction = (
-        f"What the chain learned from unlabelled photographs of one category, seen on {count} test pictures.{truth}"
+        f"What the chain learned from photographs of one category, on {len(inputs.photographs)} test pictures."
     )
     text = page(f"Run {inputs.run}", introduction, headline(inputs.figures), sections)
     with atomic_path(folder) as temporary:

@@ -2,46 +2,38 @@
 
 from collections.abc import Mapping
 from html import escape
+from statistics import mean
 from typing import Any
 
 from pipeline.evaluation.tables import figure_rows
-from pipeline.export.charts import Axis, histogram, line_chart, scatter
+from pipeline.export.charts import Axis, Point, histogram, line_chart, scatter
 from pipeline.export.report_page import Section, Tile, figure_cell, folded, grid, table
 
 BASELINES = ("chance", "constant")
 ROW_NAMES = {"test": "test", "test_tuned": "test, fine-tuned", "train": "train, recorded best", "base": "base shape"}
+LINE_POINTS = 120
 ANGLE_TICKS = (-180, -90, 0, 90, 180)
 
 
 def headline(figures: Mapping[str, Any]) -> list[Tile]:
     """Choose the figures a reader looks for first, each with what to compare it to."""
-    reconstruction = figures["reconstruction"]
-    before, after = (reconstruction[stage]["feature_distance"]["value"] for stage in ("predicted", "tuned"))
-    improved = reconstruction["improved"]
+    pictures = figures["reconstruction"]
+    before, after = (pictures[stage]["feature_distance"]["value"] for stage in ("predicted", "tuned"))
+    improved, similarity = pictures["improved"], pictures["tuned"]["ssim"]
     tiles = [
-        Tile(f"{improved['value']:.1%}", "improved by fine-tuning", f"feature distance {before:.3f} → {after:.3f}"),
-        Tile(
-            f"{reconstruction['tuned']['ssim']['value']:.3f}",
-            "structural similarity",
-            f"{reconstruction['predicted']['ssim']['value']:.3f} before fine-tuning",
-        ),
+        Tile(f"{improved['value']:.1%}", "", "improved by fine-tuning", f"feature distance {before:.3f} → {after:.3f}"),
+        _tile(similarity, "structural similarity", f"{pictures['predicted']['ssim']['value']:.3f} before fine-tuning"),
     ]
     if "pose" not in figures:
         return tiles
     pose, shape = figures["pose"], figures["shape"]
-    baselines = f"chance {pose['chance']['acc_pi6']:.3f} · constant {pose['constant']['acc_pi6']:.3f}"
+    accuracy = {"value": pose["test"]["acc_pi6"], "standard_error": pose["test"]["standard_error"]}
+    chance, constant = (f"{name} {pose[name]['acc_pi6']:.3f}" for name in BASELINES)
+    mean_shape, mean_mask = (shape["constant"][name]["value"] for name in ("voxel_iou", "mask_iou"))
     return [
-        Tile(_with_error(pose["test"], "acc_pi6"), "poses within 30°", f"{baselines} · n = {pose['test']['n']}"),
-        Tile(
-            _with_error(shape["base"]["voxel_iou"]),
-            "volume overlap (IoU) of the base shape",
-            f"mean true shape {shape['constant']['voxel_iou']['value']:.3f}",
-        ),
-        Tile(
-            _with_error(shape["test"]["mask_iou"]),
-            "mask overlap (IoU)",
-            f"constant mask {shape['constant']['mask_iou']['value']:.3f}",
-        ),
+        _tile(accuracy, "of poses within 30°", f"{chance} · {constant} · n = {pose['test']['n']}"),
+        _tile(shape["base"]["voxel_iou"], "volume IoU of the base shape", f"mean true shape {mean_shape:.3f}"),
+        _tile(shape["test"]["mask_iou"], "mask IoU", f"mean true mask {mean_mask:.3f}"),
         *tiles,
     ]
 
@@ -114,13 +106,19 @@ def curve_section(curves: Mapping[str, Mapping[str, list[str]]]) -> Section:
     return Section("curves", "Training curves", "Losses and accuracies as recorded during training.", "".join(parts))
 
 
-def seed_lines(columns: Mapping[str, list[str]], name: str) -> dict[str, list[tuple[float, float]]]:
-    """Split one column into the lines of its seeds."""
-    seeds = columns.get("seed", [""] * len(columns["iteration"]))
-    lines: dict[str, list[tuple[float, float]]] = {}
+def seed_lines(columns: Mapping[str, list[str]], name: str) -> dict[str, list[Point]]:
+    """Split one column into a line for each seed, averaged over stretches of iterations to at most 120 points."""
+    seeds = columns.get("seed", ["0"] * len(columns["iteration"]))
+    lines: dict[str, list[Point]] = {}
     for seed, iteration, value in zip(seeds, columns["iteration"], columns[name], strict=True):
-        lines.setdefault(f"seed {seed}", []).append((float(iteration), float(value)))
-    return lines
+        lines.setdefault(f"seed {float(seed):g}", []).append((float(iteration), float(value)))
+    return {seed: _averaged(line) for seed, line in lines.items()}
+
+
+def _averaged(line: list[Point]) -> list[Point]:
+    stretch = -(-len(line) // LINE_POINTS)
+    parts = [line[start : start + stretch] for start in range(0, len(line), stretch)]
+    return [(mean(x for x, _ in part), mean(y for _, y in part)) for part in parts]
 
 
 def metrics_section(figures: Mapping[str, Any], stage_figures: Mapping[str, Mapping[str, Any]]) -> Section:
@@ -140,5 +138,5 @@ def metrics_section(figures: Mapping[str, Any], stage_figures: Mapping[str, Mapp
     return Section("metrics", "All figures", "Every figure the stages wrote.", body)
 
 
-def _with_error(figure: Mapping[str, Any], key: str = "value") -> str:
-    return f"{figure[key]:.3f} ± {figure['standard_error']:.3f}"
+def _tile(figure: Mapping[str, Any], label: str, note: str) -> Tile:
+    return Tile(f"{figure['value']:.3f}", f"± {figure['standard_error']:.3f}", label, note)

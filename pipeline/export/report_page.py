@@ -17,9 +17,10 @@ class Section(NamedTuple):
 
 
 class Tile(NamedTuple):
-    """A headline figure with what to compare it to."""
+    """A headline figure, its standard error if it has one, and what to compare it to."""
 
     value: str
+    error: str
     label: str
     note: str
 
@@ -28,7 +29,7 @@ def page(title: str, introduction: str, tiles: Sequence[Tile], sections: Sequenc
     """Compose a page that needs nothing beside it: style, script and pictures stand inside."""
     links = "".join(f'<a href="#{section.anchor}">{escape(section.heading)}</a>' for section in sections)
     heads = "".join(
-        f'<div class="tile"><b>{escape(tile.value)}</b><span>{escape(tile.label)}</span>'
+        f'<div class="tile"><b>{escape(tile.value)} <i>{escape(tile.error)}</i></b><span>{escape(tile.label)}</span>'
         f"<small>{escape(tile.note)}</small></div>"
         for tile in tiles
     )

@@ -116,14 +116,15 @@ def example_section(
     return Section(anchor, heading, introduction, grid("examples", items))
 
 
-def turn_section(gallery: Gallery, index: Int[Tensor, " K"], frames: int) -> Section:
-    """Show objects to turn by hand, and in steps of 50 degrees."""
+def turn_section(gallery: Gallery, index: Int[Tensor, " K"], numbers: Sequence[str], frames: int) -> Section:
+    """Show objects to turn by hand, and in steps of 50 degrees; `numbers` are the places of all pictures in the split."""
     tables, strips = [], []
     for position in index.tolist():
+        name = f"test picture {numbers[position]}"
         sheet = data_uri(strip(gallery.turn(position, frames)))
-        tables.append(card(turntable(sheet, frames, f"object {position}, all around"), f"example {position}"))
+        tables.append(card(turntable(sheet, frames, f"{name} all around"), name))
         steps = data_uri(strip(gallery.steps(position)))
-        strips.append(f'<div class="strip">{image(steps, f"object {position} at steps of 50 degrees")}</div>')
+        strips.append(f'<div class="strip">{image(steps, f"{name} at steps of 50 degrees")}</div>')
     introduction = (
         "Fine-tuned reconstructions from all around: drag a picture or its slider, or read the strips of 50 degrees."
     )

@@ -25,6 +25,7 @@ a { color: var(--accent); text-decoration: none; } a:hover { text-decoration: un
 .tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(190px, 1fr)); gap: .9rem; margin: 1.6rem 0; }
 .tile { background: var(--card); border: 1px solid var(--line); border-radius: 12px; padding: .9rem 1.1rem; }
 .tile b { display: block; font-size: 1.9rem; font-weight: 650; line-height: 1.2; font-variant-numeric: tabular-nums; }
+.tile i { font-size: .95rem; font-style: normal; font-weight: 400; color: var(--soft); white-space: nowrap; }
 .tile span { font-size: .9rem; } .tile small { display: block; font-size: .8rem; margin-top: .3rem; }
 .scroll { overflow-x: auto; margin: .6rem 0 1.2rem; }
 table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums; min-width: 26rem; }
