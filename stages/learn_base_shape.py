@@ -9,7 +9,7 @@ from pipeline.device import resolve_device
 from pipeline.files import save_tensors, write_json
 from pipeline.networks.wide_resnet import load_feature_extractor
 from pipeline.training.base_shape import BaseShapeConfig, BaseShapes, learn_base_shape
-from pipeline.training.checkpoint import restart_key
+from pipeline.training.checkpoint import Checkpoint, restart_key
 from stages.command_line import parse, run
 
 
@@ -27,18 +27,21 @@ def main() -> None:
     )
     config = load(arguments.params, BaseShapeConfig, arguments.sections)
     device = resolve_device(scalar(arguments.params, "device"))
+    key = restart_key(config, [arguments.images, arguments.features], arguments.seed)
     shapes = learn_base_shape(
         config,
         load_images(arguments.images).to(device),
         load_feature_extractor(arguments.features, device),
         arguments.seed,
         arguments.checkpoints,
-        restart_key(config, [arguments.images, arguments.features], arguments.seed),
+        key,
     )
     save(shapes, arguments.out)
     shapes.curve.write(arguments.curve)
     scores = shapes.scores.tolist()
     write_json(arguments.metrics, {"best_seed": shapes.best, "scores": scores, "seeds": len(scores)})
+    for index in range(config.seeds):
+        Checkpoint(arguments.checkpoints / str(index), key).clear()
 
 
 def save(shapes: BaseShapes, path: Path) -> None:
