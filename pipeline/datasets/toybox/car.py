@@ -10,17 +10,83 @@ from pipeline.datasets.toybox.paint import car_paint, jitter
 from pipeline.datasets.toybox.solids import Solid, box, ellipsoid, join, kept, loft, mirrored, moved, superellipse
 
 BODY, GLASS, ROOF, PILLAR, TYRE, HUB, HEAD_LIGHT, TAIL_LIGHT, BUMPER, GRILLE, PLATE, ARCH, SILL, DECK = range(14)
-GLOSS = np.array([0.22, 0.45, 0.22, 0.15, 0.02, 0.3, 0.3, 0.15, 0.15, 0.1, 0.05, 0.0, 0.15, 0.2])
+GLOSS = np.array([0.22, 0.22, 0.22, 0.15, 0.02, 0.3, 0.3, 0.15, 0.15, 0.1, 0.05, 0.0, 0.15, 0.2])
 
 # Low and high of: length, width, height in metres; then positions along the length, from the front, of the windscreen's foot and top, of
 # the roof's rear end and the rear window's foot; then the heights of bonnet, belt line and boot as shares of the height.
 STYLES = {
-    "sedan": ((4.4, 5.1), (1.72, 1.9), (1.38, 1.5), (0.26, 0.33), (0.13, 0.18), (0.64, 0.72), (0.80, 0.87), (0.52, 0.58), (0.62, 0.67), (0.60, 0.66)),
-    "hatchback": ((3.5, 4.3), (1.62, 1.8), (1.42, 1.58), (0.22, 0.29), (0.13, 0.18), (0.82, 0.88), (0.93, 0.97), (0.52, 0.58), (0.60, 0.65), (0.60, 0.64)),
-    "estate": ((4.4, 4.9), (1.72, 1.85), (1.4, 1.55), (0.25, 0.31), (0.12, 0.17), (0.86, 0.91), (0.95, 0.98), (0.53, 0.58), (0.61, 0.65), (0.60, 0.64)),
-    "off-roader": ((4.1, 5.0), (1.75, 2.0), (1.7, 1.98), (0.23, 0.30), (0.05, 0.12), (0.88, 0.94), (0.95, 0.985), (0.56, 0.62), (0.62, 0.66), (0.60, 0.65)),
-    "pickup": ((5.0, 5.6), (1.8, 2.0), (1.65, 1.9), (0.25, 0.30), (0.08, 0.12), (0.53, 0.57), (0.56, 0.60), (0.56, 0.60), (0.60, 0.65), (0.58, 0.63)),
-    "coupe": ((3.9, 4.6), (1.7, 1.9), (1.15, 1.32), (0.35, 0.42), (0.13, 0.18), (0.64, 0.74), (0.84, 0.93), (0.54, 0.60), (0.64, 0.70), (0.64, 0.72)),
+    "sedan": (
+        (4.4, 5.1),
+        (1.72, 1.9),
+        (1.38, 1.5),
+        (0.26, 0.33),
+        (0.13, 0.18),
+        (0.64, 0.72),
+        (0.80, 0.87),
+        (0.52, 0.58),
+        (0.62, 0.67),
+        (0.60, 0.66),
+    ),
+    "hatchback": (
+        (3.5, 4.3),
+        (1.62, 1.8),
+        (1.42, 1.58),
+        (0.22, 0.29),
+        (0.13, 0.18),
+        (0.82, 0.88),
+        (0.93, 0.97),
+        (0.52, 0.58),
+        (0.60, 0.65),
+        (0.60, 0.64),
+    ),
+    "estate": (
+        (4.4, 4.9),
+        (1.72, 1.85),
+        (1.4, 1.55),
+        (0.25, 0.31),
+        (0.12, 0.17),
+        (0.86, 0.91),
+        (0.95, 0.98),
+        (0.53, 0.58),
+        (0.61, 0.65),
+        (0.60, 0.64),
+    ),
+    "off-roader": (
+        (4.1, 5.0),
+        (1.75, 2.0),
+        (1.7, 1.98),
+        (0.23, 0.30),
+        (0.05, 0.12),
+        (0.88, 0.94),
+        (0.95, 0.985),
+        (0.56, 0.62),
+        (0.62, 0.66),
+        (0.60, 0.65),
+    ),
+    "pickup": (
+        (5.0, 5.6),
+        (1.8, 2.0),
+        (1.65, 1.9),
+        (0.25, 0.30),
+        (0.08, 0.12),
+        (0.53, 0.57),
+        (0.56, 0.60),
+        (0.56, 0.60),
+        (0.60, 0.65),
+        (0.58, 0.63),
+    ),
+    "coupe": (
+        (3.9, 4.6),
+        (1.7, 1.9),
+        (1.15, 1.32),
+        (0.35, 0.42),
+        (0.13, 0.18),
+        (0.64, 0.74),
+        (0.84, 0.93),
+        (0.54, 0.60),
+        (0.64, 0.70),
+        (0.64, 0.72),
+    ),
 }
 SHARES = (0.3, 0.2, 0.12, 0.18, 0.06, 0.14)
 
@@ -61,13 +127,36 @@ def _proportions(style: Int[np.ndarray, " B"], rng: np.random.Generator) -> Prop
     wheel = spread(rng, 0.29, 0.35, len(style)) * (0.55 + 0.3 * height)
     clearance = wheel * spread(rng, 0.45, 0.7, len(style))
     return Proportions(
-        length, width, height, cowl, cowl + rake, roof_rear, rear_glass, bonnet * height, belt * height, boot * height, wheel, clearance
+        length,
+        width,
+        height,
+        cowl,
+        cowl + rake,
+        roof_rear,
+        rear_glass,
+        bonnet * height,
+        belt * height,
+        boot * height,
+        wheel,
+        clearance,
     )
 
 
 def _lower_body(sizes: Proportions) -> Solid:
     middle = (sizes.cowl + sizes.rear_glass) / 2
-    stations = [1.0, 0.985, 0.94, (sizes.rear_glass + 0.96) / 2, sizes.rear_glass, middle, sizes.cowl, sizes.cowl * 0.55, 0.06, 0.015, 0.0]
+    stations = [
+        1.0,
+        0.985,
+        0.94,
+        (sizes.rear_glass + 0.96) / 2,
+        sizes.rear_glass,
+        middle,
+        sizes.cowl,
+        sizes.cowl * 0.55,
+        0.06,
+        0.015,
+        0.0,
+    ]
     sink = 0.03 * sizes.height
     tops = [
         sizes.boot - 4 * sink, sizes.boot - 1.2 * sink, sizes.boot - 0.3 * sink, sizes.boot, sizes.belt, sizes.belt, sizes.belt,
@@ -105,7 +194,9 @@ def _cabin(sizes: Proportions) -> Solid:
         height = sizes.belt + level * (sizes.height - sizes.belt)
         middle, reach = (front + rear) / 2, (front - rear) / 2 * rounding
         rings.append(
-            vectors(outline[:, 0] * half_width[:, None], height[:, None], middle[:, None] + outline[:, 1] * reach[:, None])
+            vectors(
+                outline[:, 0] * half_width[:, None], height[:, None], middle[:, None] + outline[:, 1] * reach[:, None]
+            )
         )
     materials = np.stack([np.full(22, BODY), window, np.full(22, ROOF), np.full(22, ROOF)])
     return loft(np.stack(rings, axis=1), materials, (BODY, ROOF))
@@ -120,12 +211,23 @@ def _wheels(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
         solids += [
             mirrored(_disc(sizes.wheel * 1.2, x - 0.15, x * 1.004, vectors(0, sizes.wheel * 1.12, z), ARCH, ARCH)),
             mirrored(_disc(sizes.wheel, x - 0.19, x + 0.012, vectors(0, sizes.wheel, z), TYRE, TYRE)),
-            mirrored(_disc(sizes.wheel * spread(rng, 0.55, 0.72, count), x - 0.05, x + 0.03, vectors(0, sizes.wheel, z), HUB, HUB)),
+            mirrored(
+                _disc(
+                    sizes.wheel * spread(rng, 0.55, 0.72, count),
+                    x - 0.05,
+                    x + 0.03,
+                    vectors(0, sizes.wheel, z),
+                    HUB,
+                    HUB,
+                )
+            ),
         ]
     return solids
 
 
-def _disc(radius: np.ndarray, inner: np.ndarray, outer: np.ndarray, center: Float[np.ndarray, "B 3"], side: int, face: int) -> Solid:
+def _disc(
+    radius: np.ndarray, inner: np.ndarray, outer: np.ndarray, center: Float[np.ndarray, "B 3"], side: int, face: int
+) -> Solid:
     """Build a cylinder whose axis is parallel to x, between two positions on it."""
     ring = superellipse(12, 2.0)
     rings = [
@@ -139,8 +241,12 @@ def _lights(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     count = len(sizes.length)
     head = vectors(sizes.width * spread(rng, 0.06, 0.11, count), sizes.height * spread(rng, 0.035, 0.065, count), 0.13)
     tail = vectors(sizes.width * spread(rng, 0.05, 0.1, count), sizes.height * spread(rng, 0.04, 0.09, count), 0.1)
-    head_center = vectors(sizes.width * 0.36, sizes.bonnet - sizes.height * spread(rng, 0.11, 0.15, count), sizes.along(0.025))
-    tail_center = vectors(sizes.width * 0.39, sizes.boot - sizes.height * spread(rng, 0.12, 0.18, count), sizes.along(0.98))
+    head_center = vectors(
+        sizes.width * 0.36, sizes.bonnet - sizes.height * spread(rng, 0.11, 0.15, count), sizes.along(0.025)
+    )
+    tail_center = vectors(
+        sizes.width * 0.39, sizes.boot - sizes.height * spread(rng, 0.12, 0.18, count), sizes.along(0.98)
+    )
     return [
         mirrored(moved(ellipsoid(head, HEAD_LIGHT, 3.0), head_center)),
         mirrored(moved(ellipsoid(tail, TAIL_LIGHT, 5.0), tail_center)),
@@ -152,18 +258,17 @@ def _trim(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     low = sizes.clearance + 0.14 * sizes.height
     bumper = vectors(sizes.width * 0.46, sizes.height * spread(rng, 0.05, 0.08, count), 0.12)
     grille = vectors(sizes.width * spread(rng, 0.12, 0.26, count), sizes.height * spread(rng, 0.03, 0.07, count), 0.06)
-    plate = vectors(0.26, 0.06, 0.03)
-    mirror = vectors(0.11, 0.08, 0.06)
+    plate = np.tile([0.26, 0.06, 0.03], (count, 1))
+    mirror = np.tile([0.11, 0.08, 0.06], (count, 1))
     at_mirror = vectors(sizes.width * 0.5, sizes.belt + 0.06, sizes.along(sizes.cowl + 0.05))
     present = rng.random(count) < 0.8
-    plate = np.broadcast_to(plate, (count, 3))
     return [
         moved(ellipsoid(bumper, BUMPER, 6.0), vectors(0, low, sizes.along(0.022))),
         moved(ellipsoid(bumper, BUMPER, 6.0), vectors(0, low, sizes.along(0.978))),
         moved(ellipsoid(grille, GRILLE, 6.0), vectors(0, sizes.bonnet - 0.19 * sizes.height, sizes.along(0.01))),
         kept(moved(box(plate, PLATE), vectors(0, low, sizes.along(-0.008))), present),
         kept(moved(box(plate, PLATE), vectors(0, sizes.boot - 0.24 * sizes.height, sizes.along(1.0))), present),
-        mirrored(moved(ellipsoid(np.broadcast_to(mirror, (count, 3)), BODY, 4.0), at_mirror)),
+        mirrored(moved(ellipsoid(mirror, BODY, 4.0), at_mirror)),
     ]
 
 

@@ -14,11 +14,12 @@ def develop(radiance: Float[np.ndarray, "B H W 3"], rng: np.random.Generator) ->
     def vary(low: float, high: float, channels: int = 1) -> np.ndarray:
         return rng.uniform(low, high, (count, 1, 1, channels))
 
-    exposed = np.clip(radiance * np.exp2(vary(-0.6, 0.7)) * vary(0.92, 1.08, 3), 0, 1) ** (1 / 2.2)
+    metered = (0.17 / radiance.mean(axis=(1, 2, 3), keepdims=True)) ** vary(0.2, 0.8)
+    exposed = np.clip(radiance * metered * np.exp2(vary(-0.5, 0.8)) * vary(0.95, 1.05, 3), 0, 1) ** (1 / 2.2)
     gray = exposed.mean(axis=-1, keepdims=True)
     colors = gray + (exposed - gray) * vary(0.4, 1.2)
-    colors = 0.5 + (colors - 0.5) * vary(0.8, 1.3) + vary(-0.05, 0.05)
-    colors = _soften(colors, vary(0.0, 0.2)) + rng.normal(0.0, 1.0, colors.shape) * vary(0.0, 0.025)
+    colors = 0.5 + (colors - 0.5) * vary(0.95, 1.6) + vary(-0.06, 0.06)
+    colors = _soften(colors, vary(-0.35, 0.1)) + rng.normal(0.0, 1.0, colors.shape) * vary(0.0, 0.02)
     pictures = (np.clip(colors, 0, 1) * 255).round().astype(np.uint8)
     qualities = rng.integers(60, 96, count)
     return np.stack([_compress(picture, int(quality)) for picture, quality in zip(pictures, qualities, strict=True)])
@@ -26,8 +27,12 @@ def develop(radiance: Float[np.ndarray, "B H W 3"], rng: np.random.Generator) ->
 
 def shrink(pictures: Float[np.ndarray, "B H W C"], factor: int) -> Float[np.ndarray, "B h w C"]:
     """Average squares of `factor` pixels a side."""
-    batch, height, width, channels = pictures.shape
-    return pictures.reshape(batch, height // factor, factor, width // factor, factor, channels).mean(axis=(2, 4))
+    total = pictures[:, ::factor, ::factor].copy()
+    for row in range(factor):
+        for column in range(factor):
+            if row or column:
+                total += pictures[:, row::factor, column::factor]
+    return total / factor**2
 
 
 def _soften(pictures: np.ndarray, weight: np.ndarray) -> np.ndarray:

@@ -6,7 +6,8 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.datasets.toybox.model import Specimens
-from pipeline.datasets.toybox.scenery import Place
+from pipeline.datasets.toybox.noise import sample
+from pipeline.datasets.toybox.surroundings import Place
 
 
 class Lighting(NamedTuple):
@@ -22,6 +23,8 @@ class Lighting(NamedTuple):
     """Colour that surfaces mirror above the horizon."""
     floor: Float[np.ndarray, "B 3"]
     """Colour that surfaces mirror below the horizon."""
+    texture: Float[np.ndarray, "B 128 128"]
+    """Unevenness of what surfaces mirror."""
 
     @property
     def on_ground(self) -> Float[np.ndarray, "B"]:
@@ -39,27 +42,34 @@ def choose_lighting(place: Place, rng: np.random.Generator) -> Lighting:
     count = len(place.sky)
     azimuth, height = rng.uniform(0, 2 * np.pi, count), rng.uniform(0.35, 1.4, count)
     sun = np.stack([np.sin(azimuth) * np.cos(height), np.sin(height), np.cos(azimuth) * np.cos(height)], axis=-1)
-    studio = place.studio[:, None]
+    studio = (place.studio | place.indoors)[:, None]
     return Lighting(
         sun=sun,
-        strength=rng.uniform(0.1, 1.2, count),
-        ambient=rng.uniform(0.35, 0.6, count),
-        sky=np.where(studio, place.studio_color, place.sky),
-        floor=np.where(studio, place.studio_color * 0.5, place.ground * 0.5),
+        strength=rng.uniform(0.0, 1.4, count),
+        ambient=rng.uniform(0.3, 0.5, count),
+        sky=np.where(studio, place.wall, place.sky),
+        floor=place.ground * 0.5,
+        texture=place.texture,
     )
 
 
 def shade_faces(
-    vertices: Float[np.ndarray, "B V 3"], specimens: Specimens, toward_camera: Float[np.ndarray, "B 3"], lighting: Lighting
+    vertices: Float[np.ndarray, "B V 3"],
+    specimens: Specimens,
+    toward_camera: Float[np.ndarray, "B 3"],
+    lighting: Lighting,
 ) -> Float[np.ndarray, "B F 3"]:
     """Return the radiance of every face: diffuse light of sun and sky, and a mirror image of sky, floor and sun."""
     normals = _normals(vertices, specimens.solid.faces)
     lambert = np.maximum(np.einsum("bfc,bc->bf", normals, lighting.sun), 0)
-    light = lighting.ambient[:, None] * (0.8 + 0.5 * normals[..., 1]) + lighting.strength[:, None] * lambert
+    light = lighting.ambient[:, None] * (0.7 + 0.6 * normals[..., 1]) + lighting.strength[:, None] * lambert
     facing = np.einsum("bfc,bc->bf", normals, toward_camera)
     mirror = 2 * facing[..., None] * normals - toward_camera[:, None]
     above = np.clip(mirror[..., 1:2] * 3 + 0.4, 0, 1)
     surroundings = lighting.sky[:, None] * above + lighting.floor[:, None] * (1 - above)
+    heading = np.arctan2(mirror[..., 0], mirror[..., 2]) / (2 * np.pi)
+    streaks = sample(lighting.texture, heading[..., None], mirror[..., 1:2] / 2)
+    surroundings = surroundings * np.exp(0.6 * streaks)
     shine = np.maximum(np.einsum("bfc,bc->bf", mirror, lighting.sun), 0) ** 30 * lighting.strength[:, None] * 2
     materials = specimens.solid.materials
     gloss = (specimens.gloss[materials] * (0.6 + 0.8 * (1 - np.clip(facing, 0, 1)) ** 3))[..., None]

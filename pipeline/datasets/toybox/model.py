@@ -27,6 +27,6 @@ def spread(rng: np.random.Generator, low: float, high: float, count: int) -> Flo
     return rng.uniform(low, high, count)
 
 
-def vectors(x: np.ndarray | float, y: np.ndarray | float, z: np.ndarray | float) -> Float[np.ndarray, "B 3"]:
-    """Stack coordinates, of which at least one is given per object, into one vector per object."""
+def vectors(x: np.ndarray | float, y: np.ndarray | float, z: np.ndarray | float) -> Float[np.ndarray, "B *points 3"]:
+    """Stack coordinates, of which at least one is given per object or per point of each object, into vectors."""
     return np.stack(np.broadcast_arrays(x, y, z), axis=-1)

@@ -1,5 +1,7 @@
 """Colours as they occur in photographs, as linear reflectances."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Float
 
@@ -16,6 +18,11 @@ CAR_SHARES = np.array([16, 12, 16, 9, 15, 9, 4, 6, 3, 3, 4, 2, 3, 1]) / 103
 def car_paint(count: int, rng: np.random.Generator) -> Float[np.ndarray, "B 3"]:
     """Draw the paint of cars."""
     return jitter(CAR_PAINTS[rng.choice(len(CAR_PAINTS), count, p=CAR_SHARES)], 0.06, rng)
+
+
+def pick(colors: Sequence[Sequence[float]], count: int, rng: np.random.Generator) -> Float[np.ndarray, "B 3"]:
+    """Draw colours of a list, a little varied."""
+    return jitter(np.array(colors)[rng.integers(len(colors), size=count)], 0.06, rng)
 
 
 def jitter(

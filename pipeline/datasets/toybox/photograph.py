@@ -7,10 +7,11 @@ import torch
 from jaxtyping import Float, UInt8
 
 from pipeline.datasets.toybox.development import develop, shrink
-from pipeline.datasets.toybox.lighting import Lighting, choose_lighting, shade_faces
+from pipeline.datasets.toybox.lighting import choose_lighting, shade_faces
 from pipeline.datasets.toybox.model import Specimens
-from pipeline.datasets.toybox.scenery import Place, Rays, choose_places, paint_scenery
+from pipeline.datasets.toybox.scenery import Footprint, Rays, paint_scenery
 from pipeline.datasets.toybox.solids import fit_unit_cube
+from pipeline.datasets.toybox.surroundings import Setting, choose_places
 from pipeline.datasets.toybox.views import Viewpoints, choose_poses
 from pipeline.datasets.truth import GroundTruth
 from pipeline.geometry.camera import CameraConfig, Pose, project, rotation_from_angles
@@ -35,13 +36,13 @@ class PhotographConfig:
 
 
 def photograph(
-    specimens: Specimens, viewpoints: Viewpoints, config: PhotographConfig, rng: np.random.Generator
+    specimens: Specimens, viewpoints: Viewpoints, setting: Setting, config: PhotographConfig, rng: np.random.Generator
 ) -> tuple[UInt8[np.ndarray, "B H W 3"], GroundTruth]:
     """Photograph every specimen once, each in its own light and place."""
     vertices = fit_unit_cube(specimens.solid.vertices).astype(np.float32)
     faces = specimens.solid.faces
     pose = choose_poses(viewpoints, vertices, config.camera, rng)
-    place = choose_places(len(vertices), rng)
+    place = choose_places(setting, pose.elevation.numpy(), rng)
     lighting = choose_lighting(place, rng)
     vertices_ndc = project(torch.from_numpy(vertices), pose, config.camera)
     index = rasterize(vertices_ndc, torch.from_numpy(faces), config.size * config.supersampling).face_index.numpy()
@@ -70,8 +71,6 @@ def _rays(pose: Pose, rotation: Float[np.ndarray, "B 3 3"], config: PhotographCo
     return Rays(rotation[:, 2] * config.camera.distance, np.einsum("bhwi,bij->bhwj", directions, rotation))
 
 
-def _footprint(vertices: Float[np.ndarray, "B V 3"]) -> Float[np.ndarray, "B 3"]:
-    """Return the object's half width, the height of the ground below it, and its half depth."""
-    footprint = np.abs(vertices).max(axis=1)
-    footprint[:, 1] = vertices[..., 1].min(axis=1)
-    return footprint
+def _footprint(vertices: Float[np.ndarray, "B V 3"]) -> Footprint:
+    reach = np.abs(vertices).max(axis=1)
+    return Footprint(half_width=reach[:, 0], half_depth=reach[:, 2], bottom=vertices[..., 1].min(axis=1))

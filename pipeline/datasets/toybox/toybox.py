@@ -12,6 +12,7 @@ from pipeline.datasets.prepared import Dataset
 from pipeline.datasets.toybox.car import build_cars
 from pipeline.datasets.toybox.model import Specimens
 from pipeline.datasets.toybox.photograph import PhotographConfig, photograph
+from pipeline.datasets.toybox.surroundings import Setting
 from pipeline.datasets.toybox.views import Viewpoints
 from pipeline.datasets.truth import GroundTruth, concatenate
 from pipeline.seeding import numpy_generator
@@ -24,10 +25,11 @@ class Category(NamedTuple):
 
     build: Callable[[int, np.random.Generator], Specimens]
     viewpoints: Viewpoints
+    setting: Setting
 
 
 CATEGORIES = {
-    "car": Category(build_cars, Viewpoints(elevation=(0, 30), side_views=False, roll=2)),
+    "car": Category(build_cars, Viewpoints(elevation=(0, 30), side_views=False, roll=2), Setting(0.13, 0.0, 0.0)),
 }
 
 
@@ -63,11 +65,11 @@ def _photograph_category(
     config: ToyboxConfig, split: str, category: str, count: int
 ) -> tuple[UInt8[np.ndarray, "_ H W 3"], GroundTruth]:
     """Photograph chunk by chunk, each with a stream of its own, so that a larger split begins with the smaller one."""
-    build, viewpoints = CATEGORIES[category]
+    build, viewpoints, setting = CATEGORIES[category]
     images, truths = [], []
     for start in range(0, count, CHUNK):
         rng = numpy_generator(config.seed, "toybox", split, category, start)
-        taken, truth = photograph(build(CHUNK, rng), viewpoints, config.photograph, rng)
+        taken, truth = photograph(build(CHUNK, rng), viewpoints, setting, config.photograph, rng)
         images.append(taken)
         truths.append(truth)
     joined = concatenate(truths)
