@@ -74,7 +74,7 @@ def azimuth_chart(rows: Mapping[str, list[str]]) -> str:
 def pose_table(pose: Mapping[str, Any]) -> str:
     """Lay out one row for each split, chance and constant last."""
     modes = ("flipped", "mirrored", "front_back", "other", "seen_side", "front_or_side")
-    header = ["poses", "within 30°", "median error", *(mode.replace("_", " ") for mode in modes), "n"]
+    header = ["poses", "within 30°", "median error", *(_words(mode) for mode in modes), "n"]
     rows = []
     for name in (*ROW_NAMES, *BASELINES):
         if name in pose:
@@ -101,8 +101,8 @@ def curve_section(curves: Mapping[str, Mapping[str, list[str]]]) -> Section:
     parts = []
     for stage, columns in curves.items():
         names = [name for name in columns if name not in ("iteration", "seed")]
-        charts = [line_chart(seed_lines(columns, name), "iteration", name.replace("_", " ")) for name in names]
-        parts.append(f"<h3>{escape(stage)}</h3>{grid('charts', charts)}")
+        charts = [line_chart(seed_lines(columns, name), "iteration", _words(name)) for name in names]
+        parts.append(f"<h3>{escape(_words(stage))}</h3>{grid('charts', charts)}")
     return Section("curves", "Training curves", "Losses and accuracies as recorded during training.", "".join(parts))
 
 
@@ -134,8 +134,12 @@ def metrics_section(figures: Mapping[str, Any], stage_figures: Mapping[str, Mapp
             [escape(label), f"{value:.5g}", "" if error is None else f"{error:.2g}", "" if n is None else str(n)]
             for label, value, error, n in figure_rows(values)
         ]
-        body += folded(name, table(["figure", "value", "standard error", "n"], lines))
+        body += folded(_words(name), table(["figure", "value", "standard error", "n"], lines))
     return Section("metrics", "All figures", "Every figure the stages wrote.", body)
+
+
+def _words(name: str) -> str:
+    return name.replace("_", " ")
 
 
 def _tile(figure: Mapping[str, Any], label: str, note: str) -> Tile:

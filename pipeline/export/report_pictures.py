@@ -117,7 +117,7 @@ def example_section(
 
 
 def turn_section(gallery: Gallery, index: Int[Tensor, " K"], numbers: Sequence[str], frames: int) -> Section:
-    """Show objects to turn by hand, and in steps of 50 degrees; `numbers` are the places of all pictures in the split."""
+    """Show objects to turn by hand, and in steps of 50 degrees; `numbers` are the pictures' places in the split."""
     tables, strips = [], []
     for position in index.tolist():
         name = f"test picture {numbers[position]}"
