@@ -34,7 +34,8 @@ def main() -> None:
     inputs = [arguments.images, arguments.test_images]
     checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed))
     network, curve = train_features(config, train, test, arguments.seed, checkpoint)
-    save_feature_extractor(arguments.out, network, {"categories": " ".join(categories), "method": config.method})
+    metadata = {"categories": " ".join(categories), "method": config.method}
+    save_feature_extractor(arguments.out, network, config.color_weight, metadata)
     curve.write(arguments.curve)
     write_json(arguments.metrics, measure(arguments.out, test, config, device))
     checkpoint.clear()

@@ -91,10 +91,14 @@ class FeatureExtractor(nn.Module):
 
     A frozen copy of a trained network in which every batch normalisation is folded: into the convolution before it, or
     into a scale and a shift per channel. Gradients flow to the pictures alone.
+
+    The pictures themselves, times `color_weight`, come before the network's maps: features learned for recognition
+    alone leave colours free to drift (docs/decisions.md). The paper's distance has a weight of 0.
     """
 
-    def __init__(self, network: WideResNet) -> None:
+    def __init__(self, network: WideResNet, color_weight: float) -> None:
         super().__init__()
+        self.color_weight = color_weight
         self.network = copy.deepcopy(network).eval()
         for block in self.network.modules():
             if isinstance(block, ResidualBlock):
@@ -103,8 +107,9 @@ class FeatureExtractor(nn.Module):
         self.network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> list[Float[Tensor, "B _ _ _"]]:
-        """Return three feature maps, at full, half and quarter resolution, of RGB pictures in [0, 1]."""
-        return self.network.features(images.contiguous(memory_format=torch.channels_last))
+        """Return the weighted pictures and three feature maps, at full, half and quarter size, of RGB in [0, 1]."""
+        images = images.contiguous(memory_format=torch.channels_last)
+        return [self.color_weight * images, *self.network.features(images)]
 
 
 class ChannelAffine(nn.Module):
@@ -136,11 +141,11 @@ def _fold_normalizations(block: ResidualBlock) -> None:
     block.normalization_2 = nn.Identity()
 
 
-def save_feature_extractor(path: Path, network: WideResNet, metadata: Mapping[str, str]) -> None:
-    """Write a trained network's weights, in half precision, with what is needed to build it again."""
+def save_feature_extractor(path: Path, network: WideResNet, color_weight: float, metadata: Mapping[str, str]) -> None:
+    """Write a trained network's weights, in half precision, with what is needed to build the extractor again."""
     tensors = {name: tensor.half() for name, tensor in network.state_dict().items()}
     shape = {"depth": str(network.depth), "width": str(network.width), "classes": str(network.classes)}
-    save_tensors(path, tensors, {**metadata, **shape})
+    save_tensors(path, tensors, {**metadata, **shape, "color_weight": str(color_weight)})
 
 
 def load_wide_resnet(path: Path, device: torch.device) -> WideResNet:
@@ -159,7 +164,8 @@ def load_wide_resnet(path: Path, device: torch.device) -> WideResNet:
 
 def load_feature_extractor(path: Path, device: torch.device) -> FeatureExtractor:
     """Load the frozen feature extractor `save_feature_extractor` wrote. Raises DataError where the file is not one."""
-    return FeatureExtractor(load_wide_resnet(path, device)).to(device)
+    network = load_wide_resnet(path, device)
+    return FeatureExtractor(network, float(load_tensors(path)[1]["color_weight"])).to(device)
 
 
 @torch.no_grad()

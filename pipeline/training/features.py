@@ -12,7 +12,7 @@ from torch.nn import functional
 from tqdm import tqdm
 
 from pipeline.datasets.images import load_images
-from pipeline.errors import DataError
+from pipeline.errors import ConfigError, DataError
 from pipeline.networks.wide_resnet import WideResNet
 from pipeline.seeding import generator, initialised
 from pipeline.training.augmentation import crop_and_mirror, to_float, turn
@@ -41,6 +41,8 @@ class FeaturesConfig:
     weight_decay: float
     """On the weights of convolutions and of the classifier; normalisations and biases are free."""
     label_smoothing: float
+    color_weight: float
+    """Weight of the pictures' own colours beside the network's features wherever pictures are compared."""
     crop_margin: int
     """The largest random shift, in pixels; the border is reflected."""
     precision: Literal["float32", "bfloat16"]
@@ -179,6 +181,11 @@ def _precision(device: torch.device, config: FeaturesConfig) -> torch.autocast:
 
 def _build_network(config: FeaturesConfig, train: Pictures, seed: int) -> WideResNet:
     classes = 4 if config.method == "rotation" else int(train.labels.max()) + 1
+    if classes < 2:
+        raise ConfigError(
+            "train_features.method is classification but the data set has one category; set it to rotation, "
+            "which needs no categories"
+        )
     with initialised(seed, "features", "network"):
         network = WideResNet(config.depth, config.width, classes)
     for channel in range(3):

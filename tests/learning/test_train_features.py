@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from pipeline.errors import DataError, TrainingDiverged
+from pipeline.errors import ConfigError, DataError, TrainingDiverged
 from pipeline.networks.wide_resnet import save_feature_extractor
 from pipeline.seeding import generator
 from pipeline.training.checkpoint import Checkpoint
@@ -33,6 +33,7 @@ CONFIG = FeaturesConfig(
     momentum=0.9,
     weight_decay=5e-4,
     label_smoothing=0.1,
+    color_weight=2.0,
     crop_margin=2,
     precision="float32",
     checkpoint_every=3,
@@ -72,7 +73,7 @@ def test_a_killed_training_ends_with_the_same_bytes(tmp_path: Path, monkeypatch:
 
     def finish(name: str) -> tuple[bytes, list[dict[str, float]]]:
         network, curve = train_features(config, train, test, 0, Checkpoint(tmp_path / name, "key"))
-        save_feature_extractor(tmp_path / f"{name}.safetensors", network, {})
+        save_feature_extractor(tmp_path / f"{name}.safetensors", network, 2.0, {})
         return (tmp_path / f"{name}.safetensors").read_bytes(), curve.rows
 
     uninterrupted = finish("uninterrupted")
@@ -98,6 +99,12 @@ def test_a_diverged_training_is_an_error_and_keeps_the_state_before(tmp_path: Pa
     restored = checkpoint.load()
     assert restored is not None
     assert torch.isfinite(restored[0]["loss_sum"])
+
+
+def test_one_category_alone_cannot_be_classified(tmp_path: Path) -> None:
+    cars = Pictures(bars(16, 0).images, torch.zeros(16, dtype=torch.int64))
+    with pytest.raises(ConfigError, match="set it to rotation"):
+        train_features(CONFIG, cars, cars, 0, Checkpoint(tmp_path, "key"))
 
 
 def test_one_cycle_rises_to_its_peak_and_falls_to_zero() -> None:

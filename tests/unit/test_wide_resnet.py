@@ -50,26 +50,28 @@ def test_depth_must_be_six_n_plus_four() -> None:
 
 
 def test_features_are_the_group_outputs_before_sub_sampling() -> None:
-    shapes = [tuple(layer.shape) for layer in FeatureExtractor(WideResNet(16, 4, 10))(random_images(2))]
-    assert shapes == [(2, 64, 32, 32), (2, 128, 16, 16), (2, 256, 8, 8)]
+    shapes = [tuple(layer.shape) for layer in FeatureExtractor(WideResNet(16, 4, 10), 2.0)(random_images(2))]
+    assert shapes == [(2, 3, 32, 32), (2, 64, 32, 32), (2, 128, 16, 16), (2, 256, 8, 8)]
 
 
 def test_folding_changes_no_feature() -> None:
     network = trained_like(16, 2)
     images = random_images()
-    for folded, plain in zip(FeatureExtractor(network)(images), network.features(images), strict=True):
+    colors, *folded_features = FeatureExtractor(network, 2.0)(images)
+    assert torch.equal(colors, 2 * images)
+    for folded, plain in zip(folded_features, network.features(images), strict=True):
         torch.testing.assert_close(folded, plain, rtol=1e-4, atol=1e-4)
 
 
 def test_folding_leaves_the_network_itself_alone() -> None:
     network = trained_like()
     before = network(random_images())
-    FeatureExtractor(network)
+    FeatureExtractor(network, 2.0)
     assert torch.equal(network(random_images()), before)
 
 
 def test_extractor_is_frozen_in_training_mode_too() -> None:
-    extractor = FeatureExtractor(trained_like())
+    extractor = FeatureExtractor(trained_like(), 2.0)
     before = extractor(random_images())
     extractor.train()
     after = extractor(random_images())
@@ -79,7 +81,8 @@ def test_extractor_is_frozen_in_training_mode_too() -> None:
 
 def test_gradients_reach_the_images() -> None:
     images = random_images().requires_grad_()
-    torch.stack([layer.square().mean() for layer in FeatureExtractor(trained_like())(images)]).sum().backward()
+    features = FeatureExtractor(trained_like(), 2.0)(images)[1:]
+    torch.stack([layer.square().mean() for layer in features]).sum().backward()
     assert images.grad is not None
     assert (images.grad.flatten(1).norm(dim=1) > 0).all()
 
@@ -87,11 +90,13 @@ def test_gradients_reach_the_images() -> None:
 def test_a_network_survives_its_file(tmp_path: Path) -> None:
     network = trained_like()
     path = tmp_path / "features.safetensors"
-    save_feature_extractor(path, network, {"method": "classification"})
+    save_feature_extractor(path, network, 2.0, {"method": "classification"})
     assert path.stat().st_size < 2.2 * sum(tensor.numel() for tensor in network.state_dict().values())
     images = random_images()
     torch.testing.assert_close(load_wide_resnet(path, CPU)(images), network(images), rtol=0.02, atol=0.02)
-    for loaded, own in zip(load_feature_extractor(path, CPU)(images), FeatureExtractor(network)(images), strict=True):
+    for loaded, own in zip(
+        load_feature_extractor(path, CPU)(images), FeatureExtractor(network, 2.0)(images), strict=True
+    ):
         torch.testing.assert_close(loaded, own, rtol=0.02, atol=0.02)
 
 
@@ -103,7 +108,7 @@ def test_a_file_of_something_else_is_a_data_error(tmp_path: Path) -> None:
 
 
 def test_kept_features_are_those_of_the_pictures() -> None:
-    extractor = FeatureExtractor(trained_like())
+    extractor = FeatureExtractor(trained_like(), 2.0)
     images = (random_images(5) * 255).to(torch.uint8)
     for kept, own in zip(extract(extractor, images, 2), extractor(images.float() / 255), strict=True):
         assert kept.dtype == torch.float16
