@@ -2,12 +2,14 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from pipeline.config import load
 from pipeline.files import load_tensors, save_tensors, write_json
 from pipeline.geometry.mesh_quality import measure_remeshing
 from pipeline.geometry.remeshing import IsotropicConfig, MappedMesh, remesh_isotropic
 from pipeline.geometry.sphere_map import SphereMapConfig
+from pipeline.training.remesh_silhouette import SilhouetteConfig, remesh_by_silhouettes
 from stages.command_line import parse, run
 
 
@@ -15,8 +17,11 @@ from stages.command_line import parse, run
 class RemeshConfig:
     """Settings of the stage."""
 
+    method: Literal["isotropic", "silhouette"]
+    """Remesh the surface itself, or fit a sphere to its silhouettes as the paper does."""
     isotropic: IsotropicConfig
     sphere_map: SphereMapConfig
+    silhouette: SilhouetteConfig
 
 
 def main() -> None:
@@ -25,9 +30,13 @@ def main() -> None:
     config = load(arguments.params, RemeshConfig, arguments.sections)
     tensors, _ = load_tensors(arguments.base_shape)
     base_shape = MappedMesh(tensors["vertices"], tensors["faces"], tensors["directions"])
-    remeshed = remesh_isotropic(base_shape, config.isotropic, config.sphere_map)
+    if config.method == "isotropic":
+        remeshed = remesh_isotropic(base_shape, config.isotropic, config.sphere_map)
+    else:
+        remeshed = remesh_by_silhouettes(base_shape, config.silhouette)
+    metrics = measure_remeshing(base_shape, remeshed)
     save_tensors(arguments.out, remeshed._asdict(), {})
-    write_json(arguments.metrics, measure_remeshing(base_shape, remeshed))
+    write_json(arguments.metrics, metrics)
 
 
 if __name__ == "__main__":

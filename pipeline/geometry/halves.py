@@ -87,7 +87,7 @@ def border_loop(faces: Int[Tensor, "H 3"]) -> Int[Tensor, " N"]:
 
 def split_chords(
     vertices: Float[Tensor, "W 3"], faces: Int[Tensor, "H 3"]
-) -> tuple[Float[Tensor, "X 3"], Int[Tensor, "G 3"]]:
+) -> tuple[Float[Tensor, "vertices 3"], Int[Tensor, "faces 3"]]:
     """Split every inner edge between two border vertices of a disk in its middle.
 
     Such an edge would coincide with its mirror image once the halves are joined.

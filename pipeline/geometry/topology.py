@@ -56,6 +56,16 @@ def euler_characteristic(faces: Int[Tensor, "F 3"]) -> int:
     return len(topology.degrees) - len(topology.edges) + len(faces)
 
 
+def laplacian_matrix(faces: Int[Tensor, "F 3"]) -> Float[Tensor, "V V"]:
+    """Return the graph Laplacian of a closed mesh: degrees on the diagonal, -1 for every edge."""
+    topology = topology_of(faces)
+    start, end = topology.edges.unbind(dim=1)
+    laplacian = topology.degrees.float().diag()
+    laplacian[start, end] = -1
+    laplacian[end, start] = -1
+    return laplacian
+
+
 def polygon_areas(vertices: Float[Tensor, "*B V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "*B F"]:
     """Measure the area of each face. Gradients flow to `vertices`."""
     a, b, c = vertices[..., faces, :].unbind(dim=-2)

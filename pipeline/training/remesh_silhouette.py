@@ -1,0 +1,90 @@
+"""Remeshing by silhouettes, the paper's own way (paper 3.1.7)."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.nn.functional import avg_pool2d
+from tqdm import trange
+
+from pipeline.geometry.camera import Pose, project
+from pipeline.geometry.icosphere import icosphere
+from pipeline.geometry.remeshing import MappedMesh, check_surface
+from pipeline.geometry.symmetry import mirror_index, symmetrize
+from pipeline.geometry.topology import laplacian_matrix, polygon_areas
+from pipeline.rendering.antialias import antialias
+from pipeline.rendering.rasterize import rasterize
+from pipeline.rendering.renderer import RendererConfig
+
+GOLDEN_ANGLE = math.pi * (3 - 5**0.5)
+
+
+@dataclass(frozen=True)
+class SilhouetteConfig:
+    """Settings of the fit."""
+
+    subdivisions: int
+    """Of the icosphere that is deformed: 3 gives 1280 faces."""
+    iterations: int
+    learning_rate: float
+    """Of Adam."""
+    stiffness: float
+    """How far a step at one vertex carries its neighbours along; 0 lets single vertices grow into spikes."""
+    views: int
+    """Silhouettes compared in each iteration, seen from all around."""
+    area_variance_weight: float
+    """Weight of the squared area variation against the mean squared difference of the silhouettes."""
+    area_weight: float
+    """Weight of the whole area of the surface."""
+    renderer: RendererConfig
+
+
+def remesh_by_silhouettes(original: MappedMesh, config: SilhouetteConfig) -> MappedMesh:
+    """Fit an icosphere to the silhouettes of a mesh while minimising the variance of polygon areas and the whole area.
+
+    The sphere's own vertices are the directions, so polygons of even size are a map of even areas. What no silhouette
+    shows, such as a dent, is filled. Steps are taken in the coordinates (I + stiffness L) v, in which they are smooth
+    (Nicolet, Jacobson & Jakob 2021). The result is mirror-symmetric. Raise MeshError when the input is not finite,
+    closed and of genus 0.
+    """
+    check_surface(original)
+    directions, faces = icosphere(config.subdivisions)
+    mirror = mirror_index(directions)
+    poses = views_all_around(config.views)
+    targets = silhouettes(original.vertices, original.faces, poses, config.renderer)
+    lower, upper = original.vertices.amin(dim=0), original.vertices.amax(dim=0)
+    ellipsoid = directions * (upper - lower) / 2 + (lower + upper) / 2
+    resistance = torch.eye(len(directions)) + config.stiffness * laplacian_matrix(faces)
+    compliance = torch.linalg.inv(resistance)
+    free = (resistance @ ellipsoid).requires_grad_()
+    optimizer = torch.optim.Adam([free], config.learning_rate)
+    for _ in trange(config.iterations, desc="remesh", disable=None):
+        vertices = symmetrize(compliance @ free, mirror)
+        areas = polygon_areas(vertices, faces)
+        loss = (silhouettes(vertices, faces, poses, config.renderer) - targets).square().mean()
+        loss = (
+            loss + config.area_variance_weight * areas.var() / areas.mean().square() + config.area_weight * areas.sum()
+        )
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+    return MappedMesh(symmetrize(compliance @ free.detach(), mirror), faces, directions)
+
+
+def views_all_around(count: int) -> Pose:
+    """Spread viewpoints evenly over the sphere on a spiral of golden angles."""
+    step = torch.arange(count)
+    elevation = torch.asin(1 - (2 * step + 1) / count)
+    return Pose(step * GOLDEN_ANGLE, elevation, torch.zeros(count), torch.zeros(count, 2), torch.ones(count))
+
+
+def silhouettes(
+    vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], poses: Pose, config: RendererConfig
+) -> Float[Tensor, "B H W"]:
+    """Render the part of each pixel that one shape covers, from several poses. Gradients flow to `vertices`."""
+    vertices_ndc = project(vertices.expand(len(poses.scale), -1, -1), poses, config.camera)
+    fragments = rasterize(vertices_ndc, faces, config.size * config.supersampling)
+    covered = (fragments.face_index >= 0).to(vertices.dtype)[:, None]
+    return avg_pool2d(antialias(covered, fragments, vertices_ndc, faces), config.supersampling)[:, 0]

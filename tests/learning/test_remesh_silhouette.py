@@ -1,0 +1,57 @@
+import torch
+
+from pipeline.geometry.camera import CameraConfig
+from pipeline.geometry.icosphere import icosphere
+from pipeline.geometry.mesh_quality import measure_remeshing
+from pipeline.geometry.remeshing import MappedMesh
+from pipeline.geometry.symmetry import mirror_index, reflect
+from pipeline.geometry.voxels import voxelize
+from pipeline.rendering.renderer import RendererConfig
+from pipeline.training.remesh_silhouette import SilhouetteConfig, remesh_by_silhouettes, silhouettes, views_all_around
+from tests.deformed_spheres import deformed_sphere
+
+RENDERER = RendererConfig(CameraConfig(distance=2.7, field_of_view=30.0), size=48, supersampling=1)
+CONFIG = SilhouetteConfig(
+    subdivisions=2,
+    iterations=80,
+    learning_rate=0.05,
+    stiffness=20.0,
+    views=12,
+    area_variance_weight=0.003,
+    area_weight=0.003,
+    renderer=RENDERER,
+)
+
+
+def test_sphere_becomes_a_car_of_even_polygons() -> None:
+    original = MappedMesh(*deformed_sphere("car"))
+    fitted = remesh_by_silhouettes(original, CONFIG)
+    voxels = [voxelize(mesh.vertices[None], mesh.faces, 32) for mesh in (original, fitted)]
+    assert (voxels[0] & voxels[1]).sum() / (voxels[0] | voxels[1]).sum() > 0.9
+    measured = measure_remeshing(original, fitted)
+    assert measured["area_variation_after"] < 0.25 < measured["area_variation_before"]
+    assert measured["map_flipped_faces"] == 0
+    mirror = mirror_index(fitted.directions)
+    assert torch.equal(fitted.vertices[mirror], reflect(fitted.vertices))
+
+
+def test_views_lie_all_around() -> None:
+    poses = views_all_around(50)
+    towards_camera = torch.stack(
+        [
+            poses.azimuth.sin() * poses.elevation.cos(),
+            poses.elevation.sin(),
+            poses.azimuth.cos() * poses.elevation.cos(),
+        ],
+        dim=1,
+    )
+    assert towards_camera.mean(dim=0).norm() < 0.05
+    torch.testing.assert_close(towards_camera.T @ towards_camera / 50, torch.eye(3) / 3, atol=0.03, rtol=0)
+
+
+def test_silhouette_of_a_sphere_is_its_disk() -> None:
+    vertices, faces = icosphere(4)
+    rendered = silhouettes(vertices / 2, faces, views_all_around(3), RENDERER)
+    # Seen from 2.7 the sphere of radius 1/2 spans arcsin(0.5 / 2.7), the picture 15 degrees to each side.
+    radius = torch.tensor(0.5 / 2.7).asin().tan() / torch.tensor(15.0).deg2rad().tan()
+    torch.testing.assert_close(rendered.mean(dim=(1, 2)), (torch.pi * radius**2 / 4).expand(3), atol=0.01, rtol=0)
