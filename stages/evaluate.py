@@ -38,9 +38,8 @@ def main() -> None:
     test = load_true_split(arguments.truth, "test", arguments.category)
     training = load_true_split(arguments.truth, "train", arguments.category)
     if test is not None and training is not None:
-        model, _ = load_tensors(arguments.model)
-        mesh, _ = load_tensors(arguments.mesh)
-        base_shape, _ = load_tensors(arguments.base_shape)
+        paths = (arguments.model, arguments.mesh, arguments.base_shape)
+        model, mesh, base_shape = (load_tensors(path)[0] for path in paths)
         visited = model["train_visits"].nonzero().flatten()
         learned = Learned(
             reconstructions,
@@ -52,8 +51,8 @@ def main() -> None:
             load_full_model(arguments.model, torch.device("cpu")).config.renderer,
         )
         test, training = select(test, reconstructions.test_index), select(training, visited)
-        more_figures, more_columns = evaluate_truth(learned, training, test, config)
-        figures, table = figures | more_figures, table | more_columns
+        compared, columns = evaluate_truth(learned, training, test, config)
+        figures, table = figures | compared, table | columns
     write_json(arguments.out, figures)
     write_table(arguments.table, table)
 

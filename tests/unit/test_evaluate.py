@@ -95,7 +95,7 @@ def test_same_seed_gives_the_same_figures(learned: Learned, truth: Truth) -> Non
 
 def test_reconstruction_nearer_to_the_photograph_counts_as_improved(learned: Learned) -> None:
     with initialised(0, "extractor"):
-        extractor = FeatureExtractor(WideResNet(10, 1, 2))
+        extractor = FeatureExtractor(WideResNet(10, 1, 2), 2.0)
     photographs = learned.reconstructions.tuned.images
     figures, table = evaluate_images(photographs, learned.reconstructions, extractor, CONFIG)
     assert figures["reconstruction"]["improved"]["value"] == 1
