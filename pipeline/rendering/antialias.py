@@ -59,11 +59,11 @@ def antialias(
         _depth_at(pixels, fragments, vertices_ndc, faces) for pixels in (crossings.inside, crossings.outside)
     )
     visible = depth_outside > torch.maximum(depth_inside, crossings.depth)
-    inside, outside, excess = crossings.inside[visible], crossings.outside[visible], crossings.excess[visible]
+    inside, outside, excess = _outermost(crossings, visible, colors[:, 0].numel())
     target, source = torch.where(excess > 0, outside, inside), torch.where(excess > 0, inside, outside)
     share = excess.abs()
     # Several edges may cut one pixel, as at corners and thin parts: together they take no more than all of it.
-    taken = share.new_zeros(fragments.face_index.numel()).index_add(0, target, share)
+    taken = share.new_zeros(colors[:, 0].numel()).index_add(0, target, share)
     share = share / taken[target].clamp(min=1)
     return _blend(colors, target, source, share)
 
@@ -110,6 +110,18 @@ def _find_crossings(edges: _Edges, size: int) -> _Crossings:
     crossings = _Crossings(before + step * ~inside_first, before + step * inside_first, excess, depth)
     within = (pixel >= 0) & (pixel < size - 1)
     return _Crossings(*(value[within] for value in crossings))
+
+
+def _outermost(
+    crossings: _Crossings, visible: Bool[Tensor, " N"], pixel_count: int
+) -> tuple[Int[Tensor, " M"], Int[Tensor, " M"], Float[Tensor, " M"]]:
+    """Keep the visible crossing that reaches farthest between each two pixels: others lie in front of the object."""
+    inside, outside, excess = crossings.inside[visible], crossings.outside[visible], crossings.excess[visible]
+    sideways = (inside - outside).abs() > 1
+    pair = torch.minimum(inside, outside) + pixel_count * sideways
+    farthest = excess.new_full((2 * pixel_count,), -1).scatter_reduce(0, pair, excess.detach(), "amax")
+    kept = excess.detach() == farthest[pair]
+    return inside[kept], outside[kept], excess[kept]
 
 
 @torch.no_grad()
