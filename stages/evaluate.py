@@ -33,13 +33,12 @@ def main() -> None:
     config = load(arguments.params, EvaluateConfig, arguments.sections)
     reconstructions = load_reconstructions(arguments.reconstructions)
     photographs = load_photographs(arguments.test_images, reconstructions.test_index)
-    extractor = load_feature_extractor(arguments.features, torch.device("cpu"))
-    figures, table = evaluate_images(photographs, reconstructions, extractor, config)
+    features = load_feature_extractor(arguments.features, torch.device("cpu"))
+    figures, table = evaluate_images(photographs, reconstructions, features, config)
     test = load_true_split(arguments.truth, "test", arguments.category)
     training = load_true_split(arguments.truth, "train", arguments.category)
     if test is not None and training is not None:
-        paths = (arguments.model, arguments.mesh, arguments.base_shape)
-        model, mesh, base_shape = (load_tensors(path)[0] for path in paths)
+        model, mesh, base_shape = (load_tensors(vars(arguments)[name])[0] for name in ("model", "mesh", "base_shape"))
         visited = model["train_visits"].nonzero().flatten()
         learned = Learned(
             reconstructions,
@@ -50,8 +49,8 @@ def main() -> None:
             base_shape["faces"],
             load_full_model(arguments.model, torch.device("cpu")).config.renderer,
         )
-        test, training = select(test, reconstructions.test_index), select(training, visited)
-        compared, columns = evaluate_truth(learned, training, test, config)
+        splits = select(training, visited), select(test, reconstructions.test_index)
+        compared, columns = evaluate_truth(learned, *splits, config)
         figures, table = figures | compared, table | columns
     write_json(arguments.out, figures)
     write_table(arguments.table, table)
