@@ -16,7 +16,7 @@ def texels(x: float, y: float, z: float, size: int) -> tuple[int, int, int, int,
     v = 0.5 - atan2(y, sqrt(x * x + z * z)) / pi
     column = u * size - 0.5
     row = min(max(v * size - 0.5, 0.0), size - 1.0)
-    left, top = int(floor(column)), min(int(row), size - 2)
+    left, top = floor(column), min(int(row), size - 2)
     return top, top + 1, left % size, (left + 1) % size, row - top, column - left
 
 
