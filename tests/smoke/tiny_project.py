@@ -15,7 +15,14 @@ ROOT = Path(__file__).parents[2]
 TINY: dict[str, Any] = {
     "device": "cpu",
     "prepare_data": {"toybox": {"train_count": 16, "test_count": 4, "photograph": {"supersampling": 2}}},
-    "train_features": {"depth": 10, "width": 1, "epochs": 6, "batch_size": 16, "checkpoint_every": 1},
+    "train_features": {
+        "method": "rotation",
+        "depth": 10,
+        "width": 1,
+        "epochs": 6,
+        "batch_size": 16,
+        "checkpoint_every": 1,
+    },
     "learn_base_shape": {
         "iterations": 6,
         "batch_size": 4,
@@ -53,9 +60,9 @@ TINY: dict[str, Any] = {
 
 
 def make_tiny_project(folder: Path) -> None:
-    """Copy the code and the graph, shrink the numbers and give the copy a DVC repository of its own."""
+    """Copy the code (with its compiled kernels) and the graph, shrink the numbers and set up DVC."""
     for package in ("pipeline", "stages"):
-        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+        shutil.copytree(ROOT / package, folder / package)
     for name in ("dvc.yaml", ".dvcignore"):
         shutil.copy(ROOT / name, folder / name)
     yaml = YAML(typ="safe")
