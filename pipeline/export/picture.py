@@ -25,6 +25,11 @@ def tile(rows: Float[Tensor, "R K C H W"], gap: int, shade: float) -> Float[Tens
     return sheet
 
 
+def enlarge(pictures: Float[Tensor, "*batch H W"], factor: int) -> Float[Tensor, "*batch height width"]:
+    """Repeat every pixel `factor` times in both directions, so that small pictures keep their pixels."""
+    return pictures.repeat_interleave(factor, dim=-1).repeat_interleave(factor, dim=-2)
+
+
 def strip(pictures: Float[Tensor, "K C H W"]) -> Float[Tensor, "C H width"]:
     """Put pictures side by side without gaps."""
     return torch.cat(list(pictures), dim=-1)

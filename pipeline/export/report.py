@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from pipeline.evaluation.artifacts import Reconstructions
-from pipeline.export.picture import tile, write_png
+from pipeline.export.picture import enlarge, tile, write_png
 from pipeline.export.report_metrics import curve_section, headline, metrics_section, pose_section
 from pipeline.export.report_page import Section, page
 from pipeline.export.report_pictures import Gallery, base_shape_section, example_section, turn_section
@@ -83,10 +83,11 @@ def write_report(inputs: ReportInputs, config: ReportConfig, page_folder: Path, 
     with atomic_path(figure_folder) as folder:
         folder.mkdir()
         write_png(folder / "base_shapes.png", tile(on_white(seeds), gap=4, shade=1.0))
-        chosen = torch.cat([best, random])
-        write_png(folder / "reconstructions.png", tile(gallery.renderings(chosen, config.other_view), gap=2, shade=1.0))
+        renderings = gallery.renderings(torch.cat([best, random]), config.other_view)
+        factor = max(1, config.view.size // renderings.shape[-1])
+        write_png(folder / "reconstructions.png", tile(enlarge(renderings.transpose(0, 1), factor), gap=4, shade=1.0))
         steps = torch.stack([gallery.steps(index) for index in random[: config.turntables].tolist()])
-        write_png(folder / "steps.png", tile(on_white(steps), gap=2, shade=1.0))
+        write_png(folder / "steps.png", tile(on_white(steps), gap=4, shade=1.0))
 
 
 def choose_examples(inputs: ReportInputs, config: ReportConfig) -> tuple[Int[Tensor, " K"], Int[Tensor, " K"]]:

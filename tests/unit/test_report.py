@@ -11,7 +11,7 @@ import torch
 from PIL import Image
 
 from pipeline.evaluation.artifacts import Reconstruction, Reconstructions
-from pipeline.export.picture import data_uri, encode_png, tile
+from pipeline.export.picture import data_uri, encode_png, enlarge, tile
 from pipeline.export.report import ReportConfig, ReportInputs, choose_examples, write_report
 from pipeline.export.views import ViewConfig, on_white, render_clay, render_textured
 from pipeline.geometry.camera import CameraConfig, Pose
@@ -143,6 +143,10 @@ def test_tiles_keep_their_places() -> None:
     assert sheet.shape == (3, 7, 10)
     assert sheet[0, 1::3, 1::3].tolist() == [[0, 1, 2], [3, 4, 5]]
     assert sheet[0, 0].tolist() == [9.0] * 10
+
+
+def test_enlarged_pixels_are_squares() -> None:
+    assert enlarge(torch.tensor([[1.0, 2.0]]), 2).tolist() == [[1, 1, 2, 2], [1, 1, 2, 2]]
 
 
 def test_data_uri_round_trip() -> None:
