@@ -26,15 +26,15 @@ def paint_backdrop(
 
 
 def _sky(place: Place, across: np.ndarray, height: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Paint a sky that is paler towards the horizon, with clouds."""
     count = len(across)
-    scale = _wide(rng.uniform(0.02, 0.15, count)) / (1 + _wide(place.distance) / 10)
-    cloud = sample(place.texture, across * scale, height * scale * 2)
-    cover = np.clip(cloud * _wide(rng.uniform(0.0, 0.5, count)) + _wide(rng.uniform(-0.6, 0.4, count)), 0, 1)
-    haze = np.exp(-np.maximum(height, 0) / _wide(place.distance * rng.uniform(0.1, 1.0, count))) * _wide(
-        rng.uniform(0.0, 0.6, count)
-    )
-    sky = place.sky[:, None, None].astype(np.float32)
-    white = _wide(rng.uniform(0.6, 1.0, count))[..., None]
+    sideways, upward = across / _wide(place.distance + 3), height / _wide(place.distance + 3)
+    scale = _wide(rng.uniform(0.15, 0.9, count))
+    cloud = sample(place.texture, sideways * scale, upward * scale * 1.5)
+    cover = np.clip(cloud * _wide(rng.uniform(0.05, 0.5, count)) + _wide(rng.uniform(-0.5, 0.5, count)), 0, 1)
+    haze = np.exp(-np.abs(upward) / _wide(rng.uniform(0.05, 0.6, count))) * _wide(rng.uniform(0.0, 0.8, count))
+    sky = place.sky[:, None, None].astype(np.float32) * (1 - 0.35 * np.clip(upward, -1, 1))[..., None]
+    white = (_wide(rng.uniform(0.5, 1.0, count)) * (1 + 0.15 * cloud))[..., None]
     return sky + (white - sky) * np.maximum(cover, haze)[..., None]
 
 
@@ -45,7 +45,7 @@ def _trees(
     scale = _wide(rng.uniform(0.05, 0.4, count))
     leaves = sample(place.texture, across * scale, height * scale)
     crown = _wide(top) * (1 + 0.25 * sample(place.texture, across * 0.1, across * 0 + 0.5) + 0.15 * leaves)
-    shade = place.foliage[:, None, None] * np.exp(leaves * _wide(rng.uniform(0.4, 1.3, count)))[..., None]
+    shade = place.foliage[:, None, None] * np.exp(leaves * _wide(rng.uniform(0.3, 1.1, count)))[..., None]
     return np.where((height < crown)[..., None], shade, colors)
 
 

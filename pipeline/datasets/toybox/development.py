@@ -14,6 +14,7 @@ def develop(radiance: Float[np.ndarray, "B H W 3"], rng: np.random.Generator) ->
     def vary(low: float, high: float, channels: int = 1) -> np.ndarray:
         return rng.uniform(low, high, (count, 1, 1, channels))
 
+    radiance = radiance * _falloff(radiance.shape[1], vary(-0.35, 0.35, 2), vary(0.0, 0.35))
     metered = (0.17 / radiance.mean(axis=(1, 2, 3), keepdims=True)) ** vary(0.2, 0.8)
     exposed = np.clip(radiance * metered * np.exp2(vary(-0.5, 0.8)) * vary(0.95, 1.05, 3), 0, 1) ** (1 / 2.2)
     gray = exposed.mean(axis=-1, keepdims=True)
@@ -23,6 +24,14 @@ def develop(radiance: Float[np.ndarray, "B H W 3"], rng: np.random.Generator) ->
     pictures = (np.clip(colors, 0, 1) * 255).round().astype(np.uint8)
     qualities = rng.integers(60, 96, count)
     return np.stack([_compress(picture, int(quality)) for picture, quality in zip(pictures, qualities, strict=True)])
+
+
+def _falloff(size: int, slope: np.ndarray, vignette: np.ndarray) -> np.ndarray:
+    """Return the unevenness of the light over the picture: a slope across it, and darker corners."""
+    steps = np.linspace(-1, 1, size)
+    x, y = np.meshgrid(steps, steps)
+    lit = 1 + slope[..., :1] * x[..., None] + slope[..., 1:] * y[..., None]
+    return lit * (1 - vignette * (x**2 + y**2)[..., None] / 2)
 
 
 def shrink(pictures: Float[np.ndarray, "B H W C"], factor: int) -> Float[np.ndarray, "B h w C"]:

@@ -62,7 +62,7 @@ def shade_faces(
     """Return the radiance of every face: diffuse light of sun and sky, and a mirror image of sky, floor and sun."""
     normals = _normals(vertices, specimens.solid.faces)
     lambert = np.maximum(np.einsum("bfc,bc->bf", normals, lighting.sun), 0)
-    light = lighting.ambient[:, None] * (0.7 + 0.6 * normals[..., 1]) + lighting.strength[:, None] * lambert
+    light = lighting.ambient[:, None] * (0.75 + 0.5 * normals[..., 1]) + lighting.strength[:, None] * lambert
     facing = np.einsum("bfc,bc->bf", normals, toward_camera)
     mirror = 2 * facing[..., None] * normals - toward_camera[:, None]
     above = np.clip(mirror[..., 1:2] * 3 + 0.4, 0, 1)

@@ -66,7 +66,7 @@ def _ground(place: Place, point: np.ndarray, distance: np.ndarray, rng: np.rando
     count = len(point)
     grain = wide(rng.uniform(0.1, 0.6, count) / (1 + place.drop))
     stains = sample(place.texture, point[..., 0] * grain, point[..., 2] * grain)
-    strength = wide(np.where(place.studio, 0.05, rng.uniform(0.05, 0.55, count))) / (
+    strength = wide(np.where(place.studio, 0.08, rng.uniform(0.05, 0.55, count))) / (
         1 + distance / (6 + wide(place.drop))
     )
     angle = rng.uniform(0, np.pi, count)
@@ -79,8 +79,11 @@ def _ground(place: Place, point: np.ndarray, distance: np.ndarray, rng: np.rando
     line = (np.abs(offset - edge + wide(rng.uniform(0.0, 0.4, count) * width)) < 0.03) & wide(
         outdoors & (rng.random(count) < 0.4)
     ).astype(bool)
+    field = wide(2.0 / width)
+    fields = sample(place.texture, np.floor(offset * field) * 0.37, np.floor(point[..., 0] * field) * 0.61)
+    fields = fields * wide((place.drop > 0) * rng.uniform(0.0, 0.6, count))
     boards = wide(place.indoors & (rng.random(count) < 0.5)) * (np.floor(offset * 6) % 2 - 0.5)
-    colors = colors * np.exp(strength * (stains + boards))[..., None]
+    colors = colors * np.exp(strength * (stains + boards) + fields)[..., None]
     return np.where(line[..., None], 0.75, colors).astype(np.float32)
 
 

@@ -99,26 +99,24 @@ def box(radii: Float[np.ndarray, "B 3"], material: int) -> Solid:
 def tube(
     path: Float[np.ndarray, "B R 3"],
     radii: Float[np.ndarray, "B R 2"],
-    across: Float[np.ndarray, "B 3"],
-    material: int,
+    across: tuple[float, float, float],
+    materials: int | Int[np.ndarray, "R-1 S"],
+    exponent: float = 2.0,
     size: int = 8,
 ) -> Solid:
-    """Return a bent tube along a path.
+    """Return a bent tube, blade or slab along a path.
 
-    Its cross-sections are ellipses: `radii` are those along the unit vector `across` and along the direction normal to it and to the path.
+    Its cross-sections are superellipses with the first radius along the unit vector `across` and the second along the
+    normal of that and the path.
     """
     tangent = np.gradient(path, axis=1)
-    tangent /= np.linalg.norm(tangent, axis=-1, keepdims=True) + 1e-9
-    side = np.broadcast_to(across[:, None], path.shape)
-    upward = np.cross(tangent, side)
+    upward = np.cross(tangent, np.array(across))
     upward /= np.linalg.norm(upward, axis=-1, keepdims=True) + 1e-9
-    ring = superellipse(size, 2.0)
-    rings = (
-        path[:, :, None]
-        + ring[:, :1] * (radii[:, :, None, :1] * side[:, :, None])
-        + ring[:, 1:] * (radii[:, :, None, 1:] * upward[:, :, None])
-    )
-    return loft(rings, material, (material, material))
+    ring = superellipse(size, exponent)
+    sideways = ring[:, :1] * radii[:, :, None, :1] * np.array(across)
+    rings = path[:, :, None] + sideways + ring[:, 1:] * radii[:, :, None, 1:] * upward[:, :, None]
+    ends = (materials, materials) if isinstance(materials, int) else (int(materials[0, 0]), int(materials[-1, 0]))
+    return loft(rings, materials, ends)
 
 
 def fit_unit_cube(vertices: Float[np.ndarray, "B V 3"]) -> Float[np.ndarray, "B V 3"]:

@@ -9,7 +9,10 @@ from jaxtyping import UInt8
 from tqdm import tqdm
 
 from pipeline.datasets.prepared import Dataset
+from pipeline.datasets.toybox.aeroplane import build_aeroplanes
 from pipeline.datasets.toybox.car import build_cars
+from pipeline.datasets.toybox.chair import build_chairs
+from pipeline.datasets.toybox.horse import build_horses
 from pipeline.datasets.toybox.model import Specimens
 from pipeline.datasets.toybox.photograph import PhotographConfig, photograph
 from pipeline.datasets.toybox.surroundings import Setting
@@ -29,7 +32,10 @@ class Category(NamedTuple):
 
 
 CATEGORIES = {
-    "car": Category(build_cars, Viewpoints(elevation=(0, 30), side_views=False, roll=2), Setting(0.13, 0.0, 0.0)),
+    "aeroplane": Category(build_aeroplanes, Viewpoints((-60, 60), side_views=True, roll=8, fill=0.9), Setting(0.08, 0.0, 0.5)),
+    "car": Category(build_cars, Viewpoints((0, 30), side_views=False, roll=2, fill=0.97), Setting(0.13, 0.0, 0.0)),
+    "chair": Category(build_chairs, Viewpoints((0, 30), side_views=False, roll=2, fill=0.9), Setting(0.2, 0.6, 0.0)),
+    "horse": Category(build_horses, Viewpoints((-10, 10), side_views=True, roll=2, fill=0.93), Setting(0.06, 0.0, 0.0)),
 }
 
 

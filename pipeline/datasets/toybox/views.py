@@ -18,6 +18,8 @@ class Viewpoints(NamedTuple):
     """Azimuths favour the sides, left and right alike: 180 times Beta(1.5, 1.5), mirrored for half of the pictures; else uniform."""
     roll: float
     """Standard deviation of the in-plane turn."""
+    fill: float
+    """Mean share of the picture's side that the longer side of the object's box takes up."""
 
 
 def choose_poses(
@@ -33,7 +35,7 @@ def choose_poses(
         azimuth = np.pi * rng.beta(1.5, 1.5, count) * rng.choice([-1.0, 1.0], count) % (2 * np.pi)
     elevation = np.deg2rad(rng.uniform(*viewpoints.elevation, count))
     roll = np.deg2rad(rng.normal(0.0, viewpoints.roll, count))
-    fill = np.clip(rng.normal(0.97, 0.11, count), 0.55, 1.25)
+    fill = np.clip(rng.normal(viewpoints.fill, 0.11, count), 0.5, 1.25)
     shift = rng.normal(0.0, 0.07, (count, 2))
     angles = [torch.from_numpy(angle).float() for angle in (azimuth, elevation, roll)]
     plain = Pose(*angles, torch.zeros(count, 2), torch.ones(count))
