@@ -73,6 +73,7 @@ class ImageGenerator(nn.Module):
         self.output = nn.Sequential(
             nn.BatchNorm2d(widths[-1]), nn.ReLU(), nn.Conv2d(widths[-1], out_channels, 3, padding=1)
         )
+        _spread(self)
 
     def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B C T T"]:
         """Return unnormalised channel values."""
@@ -105,6 +106,7 @@ class PaletteTextureGenerator(nn.Module):
         self.palette = nn.Sequential(
             nn.Linear(latent_size, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, colors * 3)
         )
+        _spread(self.palette)
 
     def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B 3 T T"]:
         """Return texture maps in [0, 1]."""
@@ -128,6 +130,7 @@ class StripesGenerator(nn.Module):
             nn.Upsample(size=size, mode="linear"),
             nn.Conv1d(hidden_size, 3, 3, padding=1, padding_mode="replicate"),
         )
+        _spread(self)
 
     def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B 3 H W"]:
         """Return images in [0, 1] that are constant along every row."""
@@ -145,6 +148,13 @@ class ImageBackgroundGenerator(nn.Module):
     def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B 3 H W"]:
         """Return images in [0, 1]."""
         return torch.sigmoid(self.image(latent))
+
+
+def _spread(network: nn.Module) -> None:
+    """Initialise for outputs of unit order: PyTorch's default makes them a tenth of that, every picture the same grey."""
+    for module in network.modules():
+        if isinstance(module, nn.Linear | nn.Conv1d | nn.Conv2d):
+            nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
 
 
 def _mirrored(maps: Float[Tensor, "B C T T"], mirror: bool) -> Float[Tensor, "B C T T"]:

@@ -4,9 +4,9 @@ from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float, Int
-from numba import njit, prange
 
 from pipeline.geometry.camera import NEAREST_DEPTH
+from pipeline.rendering.compiled import njit, prange
 
 
 @njit(cache=True)

@@ -5,7 +5,8 @@ from typing import no_type_check
 
 import numpy as np
 from jaxtyping import Float
-from numba import njit, prange
+
+from pipeline.rendering.compiled import njit, prange
 
 
 @njit(cache=True)

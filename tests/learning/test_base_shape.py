@@ -1,0 +1,126 @@
+"""Base-shape learning: resuming, determinism, divergence and that the loss falls."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from pipeline.errors import TrainingDiverged
+from pipeline.geometry.camera import CameraConfig
+from pipeline.losses.smoothness import SmoothnessConfig
+from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig
+from pipeline.networks.wide_resnet import FeatureExtractor, WideResNet
+from pipeline.rendering.renderer import RendererConfig
+from pipeline.seeding import generator, initialised
+from pipeline.training import base_shape
+from pipeline.training.base_shape import BaseShapeConfig, BaseShapes, SeedTrainer, learn_base_shape
+from pipeline.training.viewpoints import AngleConfig, LightConfig, ViewpointConfig
+
+CONFIG = BaseShapeConfig(
+    iterations=4,
+    batch_size=4,
+    seeds=2,
+    learning_rate=1e-3,
+    betas=(0.5, 0.99),
+    reconstruction_balance=0.9,
+    colors=2,
+    initial_dimensions=(0.5, 0.5, 1.0),
+    subdivisions=1,
+    generator=GeneratorConfig(8, 16, 1.0, 4, 8, 8, True),
+    constraints=ConstraintConfig(True, True, True, True),
+    viewpoint=ViewpointConfig(AngleConfig(0.0, 360.0, 1.0), AngleConfig(0.0, 30.0, 1.0)),
+    light=LightConfig(0.5, 0.5),
+    renderer=RendererConfig(CameraConfig(2.7, 30.0), 16, 1),
+    smoothness=SmoothnessConfig(1.0, 0.0, 0.0, 0.01, 0.0, 0.0),
+    score_batches=1,
+    checkpoint_every=2,
+)
+
+
+@pytest.fixture(scope="module")
+def extractor() -> FeatureExtractor:
+    with initialised(0):
+        return FeatureExtractor(WideResNet(10, 1, 2), 2.0)
+
+
+@pytest.fixture(scope="module")
+def images() -> torch.Tensor:
+    """Photographs of a grey disk on green."""
+    rows, columns = torch.meshgrid(torch.arange(16), torch.arange(16), indexing="ij")
+    disk = ((rows - 8) ** 2 + (columns - 8) ** 2 < 30).to(torch.uint8)
+    green = torch.tensor([40, 160, 40], dtype=torch.uint8)[:, None, None]
+    return torch.where(disk.bool(), torch.full_like(green, 128), green).repeat(8, 1, 1, 1)
+
+
+def learn(folder: Path, images: torch.Tensor, extractor: FeatureExtractor, config: BaseShapeConfig) -> BaseShapes:
+    return learn_base_shape(config, images, extractor, 0, folder, "key")
+
+
+def test_a_killed_run_resumes_to_the_same_bytes(
+    tmp_path: Path, images: torch.Tensor, extractor: FeatureExtractor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = learn(tmp_path / "whole", images, extractor, CONFIG)
+    step = SeedTrainer.step
+
+    def killed(trainer: SeedTrainer, iteration: int) -> dict[str, float]:
+        if trainer.index == 1 and iteration == 3:
+            raise KeyboardInterrupt
+        return step(trainer, iteration)
+
+    monkeypatch.setattr(SeedTrainer, "step", killed)
+    with pytest.raises(KeyboardInterrupt):
+        learn(tmp_path / "killed", images, extractor, CONFIG)
+    taken: list[tuple[int, int]] = []
+
+    def counted(trainer: SeedTrainer, iteration: int) -> dict[str, float]:
+        taken.append((trainer.index, iteration))
+        return step(trainer, iteration)
+
+    monkeypatch.setattr(SeedTrainer, "step", counted)
+    resumed = learn(tmp_path / "killed", images, extractor, CONFIG)
+    assert taken == [(1, 2), (1, 3)]
+    assert torch.equal(resumed.vertices, whole.vertices)
+    assert torch.equal(resumed.scores, whole.scores)
+    assert resumed.curve.rows == whole.curve.rows
+    assert all(torch.equal(resumed.generator[name], value) for name, value in whole.generator.items())
+
+
+def test_seeds_differ_and_the_lowest_score_wins(
+    tmp_path: Path, images: torch.Tensor, extractor: FeatureExtractor
+) -> None:
+    shapes = learn(tmp_path, images, extractor, CONFIG)
+    assert not torch.equal(shapes.vertices[0], shapes.vertices[1])
+    assert shapes.scores[shapes.best] == shapes.scores.min()
+
+
+def test_training_lowers_the_score(tmp_path: Path, images: torch.Tensor, extractor: FeatureExtractor) -> None:
+    before = learn(tmp_path / "before", images, extractor, replace(CONFIG, seeds=1, iterations=0))
+    after = learn(tmp_path / "after", images, extractor, replace(CONFIG, seeds=1, iterations=60, learning_rate=3e-3))
+    assert after.scores[0] < 0.9 * before.scores[0]
+
+
+def test_a_loss_that_is_not_a_number_keeps_the_state_before_it(
+    tmp_path: Path, images: torch.Tensor, extractor: FeatureExtractor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    generate = SeedTrainer.generate
+    calls = 0
+
+    def broken(trainer: SeedTrainer, count: int):
+        nonlocal calls
+        calls += 1
+        scene, rendered = generate(trainer, count)
+        return scene, rendered * float("nan") if calls == 4 else rendered
+
+    monkeypatch.setattr(SeedTrainer, "generate", broken)
+    with pytest.raises(TrainingDiverged, match="iteration 3"):
+        learn(tmp_path, images, extractor, CONFIG)
+    state = base_shape.Checkpoint(tmp_path / "0", "key").load()
+    assert state is not None and state[1]["iteration"] == 2
+
+
+def test_the_same_seed_repeats_exactly(images: torch.Tensor, extractor: FeatureExtractor, tmp_path: Path) -> None:
+    first = learn(tmp_path / "first", images, extractor, replace(CONFIG, seeds=1))
+    second = learn(tmp_path / "second", images, extractor, replace(CONFIG, seeds=1))
+    assert torch.equal(first.vertices, second.vertices)
+    assert generator(0, "a").initial_seed() != generator(0, "b").initial_seed()
