@@ -1,0 +1,43 @@
+"""Textured meshes as Wavefront OBJ, readable by nearly every 3D program."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from jaxtyping import Float
+from torch import Tensor
+
+from pipeline.export.picture import write_png
+from pipeline.export.seam import UnwrappedMesh
+from pipeline.files import atomic_path
+
+
+def write_obj(path: Path, mesh: UnwrappedMesh, texture: Float[Tensor, "3 T T"]) -> None:
+    """Write `path` and beside it a material and a PNG of the same name.
+
+    Axes are the project's: y up, front towards +z. The material is unlit, for the texture holds the shading. Files are
+    written one after the other, the mesh that names the others last, each atomically.
+    """
+    material, picture = path.with_suffix(".mtl"), path.with_suffix(".png")
+    write_png(picture, texture)
+    _write_lines(material, ["newmtl texture", "illum 0", "Ka 1 1 1", "Kd 1 1 1", f"map_Kd {picture.name}"])
+    uv = mesh.uv * mesh.uv.new_tensor([1.0, -1.0]) + mesh.uv.new_tensor([0.0, 1.0])
+    _write_lines(
+        path,
+        [
+            f"mtllib {material.name}",
+            "usemtl texture",
+            *_rows("v", mesh.vertices),
+            *_rows("vt", uv),
+            *_rows("vn", mesh.normals),
+            *("f " + " ".join(f"{i}/{i}/{i}" for i in face) for face in (mesh.faces + 1).tolist()),
+        ],
+    )
+
+
+def _rows(keyword: str, values: Float[Tensor, "V C"]) -> list[str]:
+    return [f"{keyword} " + " ".join(f"{value:.6f}" for value in row) for row in values.tolist()]
+
+
+def _write_lines(path: Path, lines: Sequence[str]) -> None:
+    with atomic_path(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", newline="\n")
