@@ -1,0 +1,49 @@
+"""pyproject.toml names what is imported, and constraints.txt pins it."""
+
+import ast
+import re
+import sys
+import tomllib
+from pathlib import Path
+
+from tests.project.import_closure import ROOT, import_closure
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+PACKAGE_OF = {"PIL": "pillow", "ruamel": "ruamel.yaml", "yaml": "pyyaml"}
+TRAINING = ["train_features", "learn_base_shape", "train_full", "fine_tune"]
+
+
+def _names(requirements: list[str]) -> set[str]:
+    return {re.split(r"[<>=!~ ]", requirement)[0].lower() for requirement in requirements}
+
+
+def _third_party(files: list[Path]) -> set[str]:
+    modules = set()
+    for file in files:
+        for node in ast.walk(ast.parse(file.read_text())):
+            if isinstance(node, ast.Import):
+                modules |= {alias.name.split(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module is not None:
+                modules.add(node.module.split(".")[0])
+    modules -= {*sys.stdlib_module_names, "pipeline", "stages", "tests"}
+    return {PACKAGE_OF.get(module, module) for module in modules}
+
+
+def test_everything_imported_is_declared_and_nothing_else() -> None:
+    declared = _names(PROJECT["dependencies"] + PROJECT["optional-dependencies"]["pipeline"])
+    imported = _third_party([*ROOT.glob("pipeline/**/*.py"), *ROOT.glob("stages/*.py")])
+    assert imported == declared - {"dvc"}, "DVC is run, not imported"
+
+
+def test_training_needs_the_core_dependencies_alone() -> None:
+    files = {ROOT / file for stage in TRAINING for file in import_closure(f"stages.{stage}")}
+    compiled = {file for file in files if "numba" in _third_party([file])}
+    assert {file.parent.name for file in compiled} <= {"rendering"}
+    assert _third_party(list(files - compiled)) <= _names(PROJECT["dependencies"])
+
+
+def test_every_dependency_is_pinned() -> None:
+    requirements = [PROJECT["dependencies"], *PROJECT["optional-dependencies"].values()]
+    pinned = dict(line.lower().split("==") for line in (ROOT / "constraints.txt").read_text().splitlines()[1:])
+    assert {name for group in requirements for name in _names(group)} <= set(pinned)
+    assert pinned["torch"] == "2.13.0"
