@@ -12,6 +12,9 @@ from pipeline.files import load_tensors, read_json
 from pipeline.networks.full_model import load_full_model
 from stages.command_line import parse, run
 
+TRAININGS = ("features", "base_shape", "full")
+STAGES = ("features", "base_shape", "remesh", "full", "fine_tune")
+
 
 def main() -> None:
     """Write the page and the figures; end with a table of metrics and the page's path."""
@@ -22,22 +25,16 @@ def main() -> None:
         base_shape=Path,
         model=Path,
         reconstructions=Path,
-        features_metrics=Path,
-        base_shape_metrics=Path,
-        remesh_metrics=Path,
-        full_metrics=Path,
-        fine_tune_metrics=Path,
         metrics=Path,
-        features_curve=Path,
-        base_shape_curve=Path,
-        full_curve=Path,
         table=Path,
         out=Path,
         figures=Path,
+        **{f"{stage}_metrics": Path for stage in STAGES},
+        **{f"{stage}_curve": Path for stage in TRAININGS},
     )
     reconstructions = load_reconstructions(arguments.reconstructions)
     base_shape, _ = load_tensors(arguments.base_shape)
-    stages = ("features", "base_shape", "remesh", "full", "fine_tune")
+    model = load_full_model(arguments.model, torch.device("cpu"))
     inputs = ReportInputs(
         run=arguments.run,
         photographs=load_photographs(arguments.test_images, reconstructions.test_index),
@@ -45,10 +42,11 @@ def main() -> None:
         seeds=base_shape["seed_vertices"],
         seed_faces=base_shape["faces"],
         seed_scores=base_shape["seed_scores"],
-        camera=load_full_model(arguments.model, torch.device("cpu")).config.renderer.camera,
+        base=model.base_vertices,
+        camera=model.config.renderer.camera,
         figures=read_json(arguments.metrics),
-        stage_figures={stage: read_json(getattr(arguments, f"{stage}_metrics")) for stage in stages},
-        curves={name: read_table(getattr(arguments, f"{name}_curve")) for name in ("features", "base_shape", "full")},
+        stage_figures={stage: read_json(getattr(arguments, f"{stage}_metrics")) for stage in STAGES},
+        curves={stage: read_table(getattr(arguments, f"{stage}_curve")) for stage in TRAININGS},
         table=read_table(arguments.table),
     )
     write_report(inputs, load(arguments.params, ReportConfig, arguments.sections), arguments.out, arguments.figures)

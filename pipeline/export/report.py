@@ -45,6 +45,7 @@ class ReportInputs(NamedTuple):
     """What the chain produced.
 
     Attributes:
+        base: base shape of the full model, with the faces of the reconstructions.
         figures: of `evaluate`.
         stage_figures: metrics of the other stages, by the stage's name.
         curves: columns of each training's curve, by the stage's name.
@@ -58,6 +59,7 @@ class ReportInputs(NamedTuple):
     seeds: Float[Tensor, "S V 3"]
     seed_faces: Int[Tensor, "F 3"]
     seed_scores: Float[Tensor, " S"]
+    base: Float[Tensor, "V 3"]
     camera: CameraConfig
     figures: Mapping[str, Any]
     stage_figures: Mapping[str, Mapping[str, Any]]
@@ -74,7 +76,7 @@ def write_report(inputs: ReportInputs, config: ReportConfig, page_folder: Path, 
         base_shape_section(seeds, inputs.seed_scores),
         example_section("best", "Best reconstructions", gallery, best, inputs.table, config.other_view),
         example_section("random", "Random reconstructions", gallery, random, inputs.table, config.other_view),
-        turn_section(gallery, random[: config.turntables], inputs.table["test_index"], config.frames),
+        turn_section(gallery, random[: config.turntables], inputs.base, inputs.table["test_index"], config.frames),
         *pose_section(inputs.figures, inputs.table),
         curve_section(inputs.curves),
         metrics_section(inputs.figures, inputs.stage_figures),

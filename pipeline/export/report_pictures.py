@@ -44,23 +44,23 @@ class Gallery:
 
     def steps(self, index: int) -> Float[Tensor, "K 4 H W"]:
         """Render one fine-tuned object at steps of 50 degrees."""
-        return self._turned(index, STEP_AZIMUTHS)
+        found = self._reconstructions
+        return self._around(found.tuned.vertices[index], found.textures[index], STEP_AZIMUTHS)
 
     def turn(self, index: int, frames: int) -> Float[Tensor, "K 4 H W"]:
         """Render one fine-tuned object all around."""
-        return self._turned(index, [360 * frame / frames for frame in range(frames)])
-
-    def _turned(self, index: int, azimuths: Sequence[float]) -> Float[Tensor, "K 4 H W"]:
         found = self._reconstructions
-        return render_textured(
-            found.tuned.vertices[index],
-            found.faces,
-            found.directions,
-            found.textures[index],
-            azimuths,
-            self._camera,
-            self._view,
-        )
+        return self._around(found.tuned.vertices[index], found.textures[index], _full_turn(frames))
+
+    def base_turn(self, base: Float[Tensor, "V 3"], frames: int) -> Float[Tensor, "K 4 H W"]:
+        """Render the base shape with the mean of all textures all around."""
+        return self._around(base, self._reconstructions.textures.mean(0), _full_turn(frames))
+
+    def _around(
+        self, vertices: Float[Tensor, "V 3"], texture: Float[Tensor, "3 T T"], azimuths: Sequence[float]
+    ) -> Float[Tensor, "K 4 H W"]:
+        found = self._reconstructions
+        return render_textured(vertices, found.faces, found.directions, texture, azimuths, self._camera, self._view)
 
     @torch.no_grad()
     def _other_view(self, index: Int[Tensor, " K"], turn: float) -> Float[Tensor, "K 3 H W"]:
@@ -116,9 +116,15 @@ def example_section(
     return Section(anchor, heading, introduction, grid("examples", items))
 
 
-def turn_section(gallery: Gallery, index: Int[Tensor, " K"], numbers: Sequence[str], frames: int) -> Section:
-    """Show objects to turn by hand, and in steps of 50 degrees; `numbers` are the pictures' places in the split."""
-    tables, strips = [], []
+def turn_section(
+    gallery: Gallery, index: Int[Tensor, " K"], base: Float[Tensor, "V 3"], numbers: Sequence[str], frames: int
+) -> Section:
+    """Show the base shape and objects to turn by hand, and the objects in steps of 50 degrees.
+
+    `numbers` are the pictures' places in the test split.
+    """
+    base_sheet = data_uri(strip(gallery.base_turn(base, frames)))
+    tables, strips = [card(turntable(base_sheet, frames, "base shape all around"), "base shape, mean texture")], []
     for position in index.tolist():
         name = f"test picture {numbers[position]}"
         sheet = data_uri(strip(gallery.turn(position, frames)))
@@ -126,6 +132,11 @@ def turn_section(gallery: Gallery, index: Int[Tensor, " K"], numbers: Sequence[s
         steps = data_uri(strip(gallery.steps(position)))
         strips.append(f'<div class="strip">{image(steps, f"{name} at steps of 50 degrees")}</div>')
     introduction = (
-        "Fine-tuned reconstructions from all around: drag a picture or its slider, or read the strips of 50 degrees."
+        "The base shape and fine-tuned reconstructions from all around: drag a picture or its slider, or read the "
+        "strips of 50 degrees."
     )
     return Section("turntables", "Turntables", introduction, grid("tables", tables) + "".join(strips))
+
+
+def _full_turn(frames: int) -> list[float]:
+    return [360 * frame / frames for frame in range(frames)]

@@ -58,6 +58,7 @@ def inputs(truth: bool) -> ReportInputs:
         seeds=torch.stack([directions / 2, directions / 3]),
         seed_faces=faces,
         seed_scores=torch.tensor([0.5, 0.25]),
+        base=directions / 2,
         camera=CAMERA,
         figures=figures,
         stage_figures={"remesh": {"area_variation": 0.1}},
