@@ -30,10 +30,16 @@ class AngleConfig:
 
 @dataclass(frozen=True)
 class ViewpointConfig:
-    """The fixed distribution of viewpoints of a category (paper Table 3)."""
+    """The fixed distribution of viewpoints of a category (paper Table 3).
+
+    Attributes:
+        mirrored: whether half of the azimuths are negated. Photographs show objects from both sides: with azimuths of
+            one side only, as in the paper, a horse grows a head at either end.
+    """
 
     azimuth: AngleConfig
     elevation: AngleConfig
+    mirrored: bool
 
 
 @dataclass(frozen=True)
@@ -62,6 +68,8 @@ def sample_viewpoints(config: ViewpointConfig, count: int, rng: torch.Generator)
     """Draw poses without roll, at the picture's centre and at scale 1 (paper 3.1.3)."""
     azimuth = sample_angles(config.azimuth, count, rng)
     elevation = sample_angles(config.elevation, count, rng)
+    if config.mirrored:
+        azimuth = azimuth * torch.randint(2, (count,), generator=rng, device=rng.device).mul(2).sub(1)
     zeros = torch.zeros_like(azimuth)
     return Pose(azimuth, elevation, zeros, torch.stack([zeros, zeros], 1), torch.ones_like(azimuth))
 

@@ -29,7 +29,7 @@ CONFIG = BaseShapeConfig(
     subdivisions=1,
     generator=GeneratorConfig(8, 16, 1.0, 4, 8, 8, True),
     constraints=ConstraintConfig(True, True, True, True),
-    viewpoint=ViewpointConfig(AngleConfig(0.0, 360.0, 1.0), AngleConfig(0.0, 30.0, 1.0)),
+    viewpoint=ViewpointConfig(AngleConfig(0.0, 360.0, 1.0), AngleConfig(0.0, 30.0, 1.0), mirrored=False),
     light=LightConfig(0.5, 0.5),
     renderer=RendererConfig(CameraConfig(2.7, 30.0), 16, 1),
     smoothness=SmoothnessConfig(1.0, 0.0, 0.0, 0.01, 0.0, 0.0),

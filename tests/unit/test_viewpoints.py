@@ -29,12 +29,19 @@ def test_angles_have_the_moments_of_a_stretched_beta_distribution(concentration:
 
 
 def test_viewpoints_look_at_the_centre_without_roll() -> None:
-    config = ViewpointConfig(AngleConfig(0.0, 360.0, 1.0), AngleConfig(0.0, 30.0, 1.0))
+    config = ViewpointConfig(AngleConfig(0.0, 360.0, 1.0), AngleConfig(0.0, 30.0, 1.0), mirrored=False)
     pose = sample_viewpoints(config, 8, generator(1))
     assert pose.azimuth.max() > math.pi
     assert pose.elevation.max() <= math.radians(30.0)
     assert not pose.roll.any() and not pose.center.any()
     assert torch.equal(pose.scale, torch.ones(8))
+
+
+def test_mirrored_viewpoints_come_from_both_sides_alike() -> None:
+    config = ViewpointConfig(AngleConfig(0.0, 180.0, 1.5), AngleConfig(-10.0, 10.0, 1.0), mirrored=True)
+    azimuth = sample_viewpoints(config, COUNT, generator(3)).azimuth
+    assert (azimuth > 0).float().mean().item() == pytest.approx(0.5, abs=0.02)
+    assert azimuth.abs().mean().item() == pytest.approx(math.pi / 2, abs=0.03)
 
 
 def test_light_comes_uniformly_from_above() -> None:
