@@ -43,8 +43,8 @@ TRAINING = FullTrainingConfig(
     photographs_per_iteration=2.0,
     model=MODEL,
     ellipsoid=EllipsoidConfig((0.5, 0.5, 1.0), 2),
-    exploration=ExplorationConfig(1, 2, 2, 1, 1, (0.02, 0.2), (0.02, 0.2), 0.5),
-    loss=LossConfig(0.1, 1.0, 1.0, 0.1, 0.1, SmoothnessConfig(1.0, 0.0, 0.0, 0.01, 0.0, 0.0)),
+    exploration=ExplorationConfig(1, 2, 3, 2, 1, 1, (0.02, 0.2), (0.02, 0.2), 0.5),
+    loss=LossConfig(0.1, 1.0, 1.0, 1.0, 1.0, 0.1, 0.1, SmoothnessConfig(1.0, 0.0, 0.0, 0.01, 0.0, 0.0)),
     discriminator_width=4,
     curve_every=2,
     checkpoint_every=2,
@@ -67,11 +67,11 @@ def tiny_model(**changes: object) -> FullModel:
 def tiny_extractor() -> FeatureExtractor:
     """Return a small extractor with random weights."""
     with initialised(1):
-        return FeatureExtractor(WideResNet(10, 1, 2))
+        return FeatureExtractor(WideResNet(10, 1, 2), 2.0)
 
 
 def photographs(count: int) -> tuple[UInt8[Tensor, "N 3 32 32"], Float[Tensor, "N 7"]]:
-    """Render the base mesh, front red and rear blue, from random poses; return the pictures and their pose coordinates."""
+    """Render the base mesh, front red and rear blue, at random poses; return pictures and pose coordinates."""
     model, rng = tiny_model(), generator(2)
     coordinates = model.poses.draw(count, rng)
     vertices = model.base_vertices.expand(count, -1, -1)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
 
+import torch
 import torch.nn.functional as functional
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -78,6 +79,17 @@ class Encoder(nn.Module):
         """Return the codes of images in [0, 1]; pooling to 4x4 keeps where things are."""
         maps = functional.relu(self.normalize(self.groups(self.stem(2 * images - 1))))
         return self.project(functional.adaptive_avg_pool2d(maps, 4).flatten(1))
+
+    @torch.no_grad()
+    def standardize(self, images: Float[Tensor, "B 3 H W"]) -> None:
+        """Rescale the last layer so that the codes of these images have mean 0 and standard deviation 1 in every entry.
+
+        The decoders then hear from the first step on how photographs differ, and not what they have in common.
+        """
+        codes = self(images)
+        mean, deviation = codes.mean(dim=0), codes.std(dim=0).clamp(min=1e-6)
+        self.project.weight /= deviation[:, None]
+        self.project.bias.copy_((self.project.bias - mean) / deviation)
 
 
 def _group(channels_in: int, channels_out: int, blocks: int, stride: int) -> nn.Sequential:

@@ -102,6 +102,11 @@ class FullModel(nn.Module):
         )
         self.background_decoder = StripesGenerator(code, hidden, config.renderer.size)
 
+    def standardize(self, images: Float[Tensor, "B 3 H W"]) -> None:
+        """Rescale all encoders' codes to mean 0 and standard deviation 1 over these photographs, before training."""
+        for encoder in (self.shape_encoder, self.pose_encoder, self.texture_encoder, self.background_encoder):
+            encoder.standardize(images)
+
     @torch.no_grad()
     def infer(self, images: Float[Tensor, "B 3 H W"]) -> Reconstruction:
         """Reconstruct photographs in [0, 1]; the pose is the student's. Put the model into evaluation mode first."""

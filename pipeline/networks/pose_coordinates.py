@@ -69,6 +69,13 @@ class PoseCoordinates(nn.Module):
         turn = math.pi * uniform[:, :1]
         return torch.cat([turn.cos(), turn.sin(), uniform[:, 1:]], 1)
 
+    def mirror(self, coordinates: Float[Tensor, "... 7"]) -> Float[Tensor, "... 7"]:
+        """Return the coordinates of mirror-symmetric objects in the pictures' left-right mirror images."""
+        turn, others = coordinates[..., :2], self.middle + self.reach * coordinates[..., 2:]
+        turn = turn * turn.new_tensor([1.0, -1.0])
+        others = others * others.new_tensor([1.0, -1.0, -1.0, 1.0, 1.0])  # roll and x change their signs
+        return torch.cat([turn, (others - self.middle) / self.reach], -1)
+
     def clamp(self, coordinates: Float[Tensor, "... 7"]) -> Float[Tensor, "... 7"]:
         """Return the nearest coordinates within the ranges, with the azimuth's pair on the unit circle."""
         turn = nn.functional.normalize(coordinates[..., :2], dim=-1, eps=1e-6)

@@ -27,6 +27,11 @@ class ExplorationConfig:
     """Drawn from the whole pose range."""
     turned_poses: int
     """The recorded pose with other azimuths, evenly spread over the circle from a random start."""
+    flipped_poses: int
+    """Up to three: the recorded pose from the opposite side, with left and right, and with front and rear swapped.
+
+    The outlines of such views hardly differ, so that neither gradients nor small steps lead from one to the other.
+    """
     perturbed_poses: int
     """Near the recorded pose."""
     random_shapes: int
@@ -58,6 +63,8 @@ class Estimate(NamedTuple):
 
     student: Float[Tensor, "B 7"]
     heads: Float[Tensor, "B heads 7"]
+    mirrored: Float[Tensor, "B 7"]
+    """The student's prediction for the photographs' mirror images."""
     shape: Float[Tensor, "B K"]
     texture_maps: Float[Tensor, "B 3 T T"]
     backgrounds: Float[Tensor, "B 3 H W"]
@@ -92,6 +99,7 @@ def candidates(
             estimate.heads.transpose(0, 1),
             _near(record.pose, config.perturbed_poses, config.pose_step, rng),
             _turned(record.pose, config.turned_poses, rng),
+            _flipped(record.pose, config.flipped_poses),
             model.poses.draw(config.random_poses * batch, rng).unflatten(0, (config.random_poses, batch)),
         ]
     )
@@ -166,6 +174,11 @@ def _turned(recorded: Float[Tensor, "B 7"], count: int, rng: torch.Generator) ->
     azimuth = 2 * math.pi * (start + steps) / max(count, 1)
     turn = torch.stack([azimuth.cos(), azimuth.sin()], dim=2)
     return torch.cat([turn, recorded[:, 2:].expand(count, -1, -1)], dim=2)
+
+
+def _flipped(recorded: Float[Tensor, "B 7"], count: int) -> Float[Tensor, "count B 7"]:
+    cosine_and_sine = recorded.new_tensor([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])[:count, None]
+    return torch.cat([cosine_and_sine * recorded[:, :2], recorded[:, 2:].expand(count, -1, -1)], dim=2)
 
 
 def _random_shapes(model: FullModel, batch: int, config: ExplorationConfig, rng: torch.Generator) -> Tensor:

@@ -84,6 +84,7 @@ class FullTrainer:
         self.config, self.photographs, self.extractor = config, photographs, extractor
         with initialised(seed, "full_model"):
             self.model = FullModel(config.model, base).to(device)
+        self.model.standardize(photographs.images[: 4 * config.batch_size].float() / 255)
         with initialised(seed, "view_discriminator"):
             self.discriminator = ViewDiscriminator(config.discriminator_width, POSE_COORDINATES).to(device)
         self.loss = FullLoss(config.loss, self.model, self.discriminator, extractor)
@@ -121,10 +122,11 @@ class FullTrainer:
     def estimate(self, images: Float[Tensor, "B 3 H W"]) -> Estimate:
         """Run all encoders and decoders on a batch of photographs."""
         model = self.model
-        pose_code = model.pose_encoder(images)
+        pose_code, mirrored_code = model.pose_encoder(torch.cat([images, images.flip(-1)])).chunk(2)
         return Estimate(
             model.pose_decoder(pose_code),
             model.pose_decoder.ensemble(pose_code),
+            model.pose_decoder(mirrored_code),
             model.shape_decoder(model.shape_encoder(images)),
             model.texture_decoder(model.texture_encoder(images)),
             model.background_decoder(model.background_encoder(images)),

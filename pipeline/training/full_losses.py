@@ -24,6 +24,10 @@ class LossConfig:
 
     feature_matching: float
     pose_regression: float
+    mirrored_regression: float
+    """Of poses in the photographs' mirror images; known where objects are mirror-symmetric, 0 where they are not."""
+    rendered_regression: float
+    """Of poses in the random views that are rendered for view prior learning, which are known."""
     shape_regression: float
     total_variation: float
     view_prior: float
@@ -57,35 +61,43 @@ class FullLoss:
             "reconstruction": feature_distance(photographs, features).mean(),
             "feature_matching": feature_matching(photographs, features),
             "pose_regression": pose_regression(estimate, best),
+            "mirrored_regression": self.mirrored_regression(estimate, best),
             "shape_regression": shape_regression(estimate, best),
             "total_variation": total_variation(estimate.texture_maps),
-            "view_prior": self.view_prior(vertices, estimate, best.record.pose, images, rng),
+            **self.other_views(vertices, estimate, best.record.pose, images, rng),
         }
         terms["loss"] = (
             terms["reconstruction"]
             + config.feature_matching * terms["feature_matching"]
             + config.pose_regression * terms["pose_regression"]
+            + config.mirrored_regression * terms["mirrored_regression"]
+            + config.rendered_regression * terms["rendered_regression"]
             + config.shape_regression * terms["shape_regression"]
             + config.total_variation * terms["total_variation"]
             + config.view_prior * terms["view_prior"]
         )
         if not model.config.two_stage:
             terms["smoothness"] = smoothness(model.shapes(estimate.shape), self.topology, config.smoothness).mean()
-            terms["loss"] = terms["total"] + terms["smoothness"]
+            terms["loss"] = terms["loss"] + terms["smoothness"]
         return terms
 
-    def view_prior(
+    def mirrored_regression(self, estimate: Estimate, best: Best) -> Float[Tensor, ""]:
+        """Return the student's mean absolute error on the photographs' mirror images."""
+        return (estimate.mirrored - self.model.poses.mirror(best.record.pose.detach())).abs().mean()
+
+    def other_views(
         self,
         vertices: Float[Tensor, "B V 3"],
         estimate: Estimate,
         pose: Float[Tensor, "B 7"],
         images: Float[Tensor, "B 3 H W"],
         rng: torch.Generator,
-    ) -> Float[Tensor, ""]:
-        """Compare the reconstructions with renderings of the same objects from random views (term 4).
+    ) -> dict[str, Float[Tensor, ""]]:
+        """Render the same objects from random views; return the view prior loss (term 4) and the student's pose error.
 
-        Only azimuth and elevation are redrawn: where the object stands in the picture says nothing about how it looks.
-        The discriminator descends on the loss, the objects' shapes and textures ascend.
+        Azimuth and elevation alone are redrawn: where the object stands in the picture says nothing about how it looks.
+        The discriminator descends on its loss, the objects' shapes and textures ascend; the student's error trains the
+        pose networks alone.
         """
         model = self.model
         drawn = model.poses.draw(len(images), rng)
@@ -94,9 +106,12 @@ class FullLoss:
             Reconstruction(vertices, estimate.texture_maps, model.poses(turned, vertices), estimate.backgrounds)
         )
         views = torch.cat([pose.detach(), turned])
-        logits = self.discriminator(reverse_gradient(torch.cat([images, others])), views)
-        estimated, random = logits.chunk(2)
-        return view_prior_loss(estimated, random)
+        estimated, random = self.discriminator(reverse_gradient(torch.cat([images, others])), views).chunk(2)
+        student = model.pose_decoder(model.pose_encoder(others.detach()))
+        return {
+            "view_prior": view_prior_loss(estimated, random),
+            "rendered_regression": (student - turned).abs().mean(),
+        }
 
 
 def pose_regression(estimate: Estimate, best: Best) -> Float[Tensor, ""]:

@@ -21,6 +21,7 @@ def estimate_of(model: FullModel, count: int) -> Estimate:
         return Estimate(
             model.pose_decoder(code),
             model.pose_decoder.ensemble(code),
+            model.pose_decoder(model.pose_encoder(images.flip(-1))),
             model.shape_decoder(model.shape_encoder(images)),
             model.texture_decoder(model.texture_encoder(images)),
             model.background_decoder(model.background_encoder(images)),
@@ -38,25 +39,39 @@ def test_each_kind_of_candidate_is_there_once_for_every_photograph() -> None:
     model = tiny_model()
     estimate, record = estimate_of(model, 3), first_record(model, 3, generator(0))
     poses, shapes = candidates(model, estimate, record, CONFIG, generator(1))
-    assert poses.shape == (1 + 1 + 2 + 2 + 2 + 1 + 3, 3, 7)
+    assert poses.shape == (1 + 1 + 2 + 2 + 2 + 3 + 1 + 3, 3, 7)
     torch.testing.assert_close(poses[0], record.pose)
     torch.testing.assert_close(poses[1], estimate.student)
     torch.testing.assert_close(poses[2:4], estimate.heads.transpose(0, 1))
-    assert torch.equal(shapes[:9], record.shape.expand(9, -1, -1))
-    assert torch.equal(poses[9:], record.pose.expand(3, -1, -1))
-    assert torch.equal(shapes[9], estimate.shape)
+    assert torch.equal(shapes[:12], record.shape.expand(12, -1, -1))
+    assert torch.equal(poses[12:], record.pose.expand(3, -1, -1))
+    assert torch.equal(shapes[12], estimate.shape)
 
 
 def test_turned_candidates_keep_all_but_the_azimuth_and_spread_over_the_circle() -> None:
     model = tiny_model()
     record = first_record(model, 2, generator(0))
     only_turned = replace(
-        CONFIG, turned_poses=4, random_poses=0, perturbed_poses=0, random_shapes=0, perturbed_shapes=0
+        CONFIG, turned_poses=4, flipped_poses=0, random_poses=0, perturbed_poses=0, random_shapes=0, perturbed_shapes=0
     )
     poses, _ = candidates(model, estimate_of(model, 2), record, only_turned, generator(1))
     turned = poses[4:8]
     torch.testing.assert_close(turned[..., 2:], record.pose[:, 2:].expand(4, -1, -1))
     torch.testing.assert_close(turned[..., :2].sum(dim=0), torch.zeros(2, 2), atol=1e-5, rtol=0)
+
+
+def test_flipped_candidates_look_alike_from_outside() -> None:
+    model = tiny_model()
+    record = first_record(model, 2, generator(0))
+    only_flipped = replace(
+        CONFIG, turned_poses=0, random_poses=0, perturbed_poses=0, random_shapes=0, perturbed_shapes=0
+    )
+    poses, _ = candidates(model, estimate_of(model, 2), record, only_flipped, generator(1))
+    azimuths = torch.atan2(poses[4:7, :, 1], poses[4:7, :, 0])
+    recorded = torch.atan2(record.pose[:, 1], record.pose[:, 0])
+    expected = torch.stack([recorded + torch.pi, -recorded, torch.pi - recorded])
+    torch.testing.assert_close((azimuths - expected).cos(), torch.ones(3, 2))
+    torch.testing.assert_close(poses[4:7, :, 2:], record.pose[:, 2:].expand(3, -1, -1))
 
 
 def test_the_true_pose_wins_and_its_loss_is_zero() -> None:

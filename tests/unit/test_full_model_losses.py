@@ -31,6 +31,7 @@ def test_gradient_is_reversed() -> None:
     values = torch.tensor([1.0, 2.0], requires_grad=True)
     assert torch.equal(reverse_gradient(values), values)
     (reverse_gradient(values) * torch.tensor([3.0, -1.0])).sum().backward()
+    assert values.grad is not None
     assert torch.equal(values.grad, torch.tensor([-3.0, 1.0]))
 
 
@@ -38,13 +39,14 @@ def test_only_the_best_head_and_the_student_learn() -> None:
     heads = torch.zeros(2, 3, 7, requires_grad=True)
     student = torch.zeros(2, 7, requires_grad=True)
     shape = torch.zeros(2, 4, requires_grad=True)
-    estimate = Estimate(student, heads, shape, torch.zeros(2, 3, 4, 4), torch.zeros(2, 3, 4, 4))
+    estimate = Estimate(student, heads, torch.zeros(2, 7), shape, torch.zeros(2, 3, 4, 4), torch.zeros(2, 3, 4, 4))
     record = Record(torch.full((2, 7), 0.5), torch.full((2, 4), -0.5))
     best = Best(record, torch.zeros(2), head=torch.tensor([2, 0]), winner=torch.zeros(2, dtype=torch.int64))
     loss = pose_regression(estimate, best)
     torch.testing.assert_close(loss.detach(), torch.tensor(1.0))
     loss.backward()
     assert heads.grad is not None
+    assert student.grad is not None
     assert torch.equal(heads.grad.abs().sum(dim=2) > 0, torch.tensor([[False, False, True], [True, False, False]]))
     assert (student.grad < 0).all()
     shape_regression(estimate, best).backward()

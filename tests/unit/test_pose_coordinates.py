@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from pipeline.geometry.camera import CameraConfig, project
+from pipeline.geometry.symmetry import reflect
 from pipeline.networks.pose_coordinates import PoseCoordinates, PoseRange
 from pipeline.seeding import generator
 from tests.tiny_full_model import base_mesh
@@ -55,6 +56,15 @@ def test_clamp_moves_to_the_nearest_coordinates() -> None:
     poses = PoseCoordinates(RANGE, CAMERA, fills_picture=False)
     clamped = poses.clamp(torch.tensor([[3.0, 4.0, 2.0, -2.0, 0.5, 0.0, -1.0]]))
     torch.testing.assert_close(clamped, torch.tensor([[0.6, 0.8, 1.0, -1.0, 0.5, 0.0, -1.0]]))
+
+
+def test_mirror_of_a_mirror_symmetric_body_is_its_mirrored_picture() -> None:
+    poses = PoseCoordinates(PoseRange((-10.0, 50.0), (-5.0, 20.0), (-0.1, 0.4), (0.5, 2.0)), CAMERA, False)
+    coordinates = poses.draw(20, generator(0))
+    vertices = base_mesh().vertices.expand(20, -1, -1)
+    xyz = project(vertices, poses(coordinates, vertices), CAMERA)
+    mirrored = project(reflect(vertices), poses(poses.mirror(coordinates), vertices), CAMERA)
+    torch.testing.assert_close(mirrored, reflect(xyz), atol=1e-5, rtol=0)
 
 
 def test_gradients_flow_to_coordinates_and_vertices() -> None:

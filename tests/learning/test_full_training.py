@@ -1,0 +1,115 @@
+"""Full training and fine-tuning on photographs of one body: they learn, and they resume to the same bytes."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from pipeline.errors import TrainingDiverged
+from pipeline.networks.pose_coordinates import PoseRange
+from pipeline.networks.wide_resnet import extract
+from pipeline.training.checkpoint import Checkpoint
+from pipeline.training.fine_tune import FineTuneConfig, PhaseConfig, fine_tune
+from pipeline.training.full import FullTrainer, FullTrainingConfig, Photographs, train_full
+from tests.tiny_full_model import MODEL, TRAINING, base_mesh, photographs, tiny_extractor, tiny_model
+
+SINGLE_STAGE = replace(TRAINING, model=replace(MODEL, two_stage=False))
+FINE_TUNING = FineTuneConfig(None, 3, (0.5, 0.99), PhaseConfig(4, 0.05), PhaseConfig(6, 0.02), PhaseConfig(6, 0.02))
+
+
+def train(config: FullTrainingConfig, folder: Path, count: int = 8) -> FullTrainer:
+    images, _ = photographs(count)
+    trainer, curve = train_full(config, images, tiny_extractor(), base_mesh(), 0, Checkpoint(folder, "key"))
+    assert [row["iteration"] for row in curve.rows] == list(range(2, config.iterations + 1, 2))
+    return trainer
+
+
+def state(trainer: FullTrainer) -> dict[str, Tensor]:
+    return {
+        **trainer.model.state_dict(),
+        **{f"discriminator.{name}": value for name, value in trainer.discriminator.state_dict().items()},
+        "pose": trainer.record.pose,
+        "shape": trainer.record.shape,
+        "rng": trainer.rng.get_state(),
+    }
+
+
+@pytest.mark.parametrize("config", [TRAINING, SINGLE_STAGE])
+def test_interrupted_training_ends_with_the_same_bytes(config: FullTrainingConfig, tmp_path: Path) -> None:
+    whole = state(train(config, tmp_path / "whole"))
+    train(replace(config, iterations=2), tmp_path / "halves")
+    halves = state(train(config, tmp_path / "halves"))
+    assert whole.keys() == halves.keys()
+    assert [name for name in whole if not torch.equal(whole[name], halves[name])] == []
+
+
+def test_diverged_training_keeps_the_last_checkpoint(tmp_path: Path) -> None:
+    wild = replace(TRAINING, loss=replace(TRAINING.loss, total_variation=float("inf")))
+    train(replace(TRAINING, iterations=2), tmp_path)
+    before = (tmp_path / "state.safetensors").read_bytes()
+    with pytest.raises(TrainingDiverged, match="iteration 2"):
+        train(wild, tmp_path)
+    assert (tmp_path / "state.safetensors").read_bytes() == before
+
+
+def test_curriculum_draws_different_photographs_from_the_first_ones() -> None:
+    images, _ = photographs(16)
+    extractor = tiny_extractor()
+    trainer = FullTrainer(TRAINING, Photographs(images, extract(extractor, images, 8)), extractor, base_mesh(), 0)
+    draws = torch.stack([trainer.draw(iteration) for iteration in (0, 0, 0, 3, 3, 3, 99, 99, 99)])
+    assert all(len(draw.unique()) == 4 for draw in draws)
+    assert draws[:3].max() < 4
+    assert 4 <= draws[3:6].max() < 8
+    assert draws[6:].max() >= 8
+
+
+@pytest.mark.slow
+def test_training_finds_poses_and_reconstructs(tmp_path: Path) -> None:
+    upright = replace(MODEL, pose_range=PoseRange((5.0, 25.0), (-2.0, 2.0), (-0.1, 0.1), (0.8, 1.0)))
+    config = replace(
+        TRAINING,
+        iterations=60,
+        batch_size=8,
+        learning_rate=3e-3,
+        model=upright,
+        exploration=replace(TRAINING.exploration, turned_poses=6),
+        curve_every=2,
+    )
+    images, truth = photographs(8)
+    trainer, curve = train_full(config, images, tiny_extractor(), base_mesh(), 0, Checkpoint(tmp_path, "key"))
+    first, last = curve.rows[0], curve.rows[-1]
+    assert last["reconstruction"] < 0.7 * first["reconstruction"]
+    # Up to one turn for all: nothing but the photographs says where the front is.
+    difference = _turn(trainer.record.pose) - _turn(truth)
+    errors = (difference[:, None] - torch.arange(0, 2 * torch.pi, 0.05)).cos()
+    assert (errors > 0.85).float().mean(dim=0).amax() >= 0.75
+
+
+def test_fine_tuning_never_loses_and_resumes_to_the_same_bytes(tmp_path: Path) -> None:
+    images, _ = photographs(6)
+    model, extractor = tiny_model().eval(), tiny_extractor()
+    whole = fine_tune(FINE_TUNING, images, model, extractor, Checkpoint(tmp_path / "whole", "key"))
+    fine_tune(replace(FINE_TUNING, photographs=3), images, model, extractor, Checkpoint(tmp_path / "halves", "key"))
+    halves = fine_tune(FINE_TUNING, images, model, extractor, Checkpoint(tmp_path / "halves", "key"))
+    assert all(torch.equal(whole[name], halves[name]) for name in whole)
+    assert whole["test_index"].tolist() == [0, 1, 2, 3, 4, 5]
+    before, after = whole["feature_distance_predicted"], whole["feature_distance_tuned"]
+    assert (after <= before).all()
+    assert after.mean() < 0.95 * before.mean()
+
+
+def test_fine_tuning_moves_only_background_pose_and_shape(tmp_path: Path) -> None:
+    images, _ = photographs(3)
+    only_pose = replace(FINE_TUNING, background=PhaseConfig(0, 0.05), shape=PhaseConfig(0, 0.02))
+    model = tiny_model().eval()
+    results = fine_tune(only_pose, images, model, tiny_extractor(), Checkpoint(tmp_path, "key"))
+    assert torch.equal(results["vertices_predicted"], results["vertices_tuned"])
+    assert torch.equal(results["backgrounds_predicted"], results["backgrounds_tuned"])
+    assert not torch.equal(results["pose_predicted"], results["pose_tuned"])
+    torch.testing.assert_close(results["textures"], model.infer(images.float() / 255).texture_maps)
+
+
+def _turn(coordinates: Tensor) -> Tensor:
+    return torch.atan2(coordinates[:, 1], coordinates[:, 0])
