@@ -42,7 +42,7 @@ figure { margin: 0; }
 figcaption { font-size: .82rem; margin-top: .4rem; font-variant-numeric: tabular-nums; }
 .chosen { border: 2px solid var(--accent); } .chosen figcaption b { color: var(--accent); }
 .examples { display: grid; grid-template-columns: repeat(auto-fill, minmax(320px, 1fr)); gap: .9rem; margin: 1rem 0; }
-.four { display: grid; grid-template-columns: repeat(4, 1fr); gap: 5px; }
+.four { display: grid; grid-template-columns: repeat(4, minmax(0, 1fr)); gap: 5px; }
 .four span { font-size: .7rem; color: var(--soft); text-align: center; line-height: 1.2; }
 .tables { display: grid; grid-template-columns: repeat(auto-fill, minmax(180px, 1fr)); gap: .9rem; margin: 1rem 0; }
 .frames { aspect-ratio: 1; width: 100%; background-size: auto 100%; background-repeat: no-repeat; touch-action: pan-y;
