@@ -11,6 +11,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from pipeline.geometry.camera import NEAREST_DEPTH
 from pipeline.geometry.topology import topology_of
 from pipeline.rendering.ragged import expand
 from pipeline.rendering.rasterize import Fragments
@@ -73,6 +74,8 @@ def _silhouette_edges(vertices_ndc: Float[Tensor, "B V 3"], faces: Int[Tensor, "
     faces_out = _seen_from_outside(vertices_ndc.detach(), faces)
     first_out, second_out = (faces_out[:, topology.edge_faces[:, k]] for k in range(2))
     picture, edge = (first_out != second_out).nonzero(as_tuple=True)
+    in_front = (vertices_ndc[picture[:, None], topology.edges[edge], 2] >= NEAREST_DEPTH).all(dim=1)
+    picture, edge = picture[in_front], edge[in_front]
     x, y, depth = vertices_ndc[picture[:, None], topology.edges[edge]].unbind(-1)
     column, row = size / 2 * (1 + x) - 0.5, size / 2 * (1 - y) - 0.5
     rightwards, downwards = (column[:, 1] - column[:, 0]).detach(), (row[:, 1] - row[:, 0]).detach()

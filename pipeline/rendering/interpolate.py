@@ -22,9 +22,11 @@ class _CompiledInterpolate(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None, Tensor]:
         from pipeline.rendering import interpolate_cpu
 
-        inputs = (tensor.numpy() for tensor in ctx.saved_tensors)
-        attributes, barycentric = interpolate_cpu.interpolate_backward(*inputs, gradients[0].contiguous().numpy())
-        return torch.from_numpy(attributes), None, None, torch.from_numpy(barycentric)
+        attributes, faces, face_index, barycentric = (tensor.numpy() for tensor in ctx.saved_tensors)
+        attribute_gradient, barycentric_gradient = interpolate_cpu.interpolate_backward(
+            attributes, faces, face_index, barycentric, gradients[0].contiguous().numpy()
+        )
+        return torch.from_numpy(attribute_gradient), None, None, torch.from_numpy(barycentric_gradient)
 
 
 def interpolate(

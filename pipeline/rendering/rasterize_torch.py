@@ -51,8 +51,9 @@ def barycentric_coordinates(
     size = face_index.shape[1]
     picture, row, column = (face_index >= 0).nonzero(as_tuple=True)
     corners = vertices_ndc[picture[:, None], faces[face_index[picture, row, column]]]
-    to_x = corners[..., 0] - ((2 * column + 1) / size - 1)[:, None]
-    to_y = corners[..., 1] - (1 - (2 * row + 1) / size)[:, None]
+    step = 2 / size
+    to_x = corners[..., 0] - ((column.to(corners.dtype) + 0.5) * step - 1)[:, None]
+    to_y = corners[..., 1] - (1 - (row.to(corners.dtype) + 0.5) * step)[:, None]
     weights = _opposite_areas(to_x, to_y) / corners[..., 2]
     weights = weights / weights.sum(dim=1, keepdim=True)
     background = vertices_ndc.new_zeros(*face_index.shape, 3)

@@ -128,6 +128,7 @@ def antialias(
     """Blend every two neighbouring pixels by how far the object reaches from the one into the other."""
     points = pixel_coordinates(vertices_ndc, len(depth))
     edges = silhouette_edges(points, faces)
+    edges = edges[(vertices_ndc[edges, 2] >= NEAREST_DEPTH).all(axis=1)]
     edge_depth, edge_points = vertices_ndc[edges, 2], points[edges]
     sideways = abs(np.ptp(edge_points[..., 0], axis=1)) > abs(np.ptp(edge_points[..., 1], axis=1))
     blends = []

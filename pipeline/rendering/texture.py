@@ -21,8 +21,9 @@ class _CompiledSample(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, ...]:
         from pipeline.rendering import texture_cpu
 
-        inputs = (tensor.numpy() for tensor in ctx.saved_tensors)
-        return tuple(map(torch.from_numpy, texture_cpu.sample_backward(*inputs, gradients[0].contiguous().numpy())))
+        texture_maps, directions = (tensor.numpy() for tensor in ctx.saved_tensors)
+        gradient = gradients[0].contiguous().numpy()
+        return tuple(map(torch.from_numpy, texture_cpu.sample_backward(texture_maps, directions, gradient)))
 
 
 def sample_sphere_texture(
