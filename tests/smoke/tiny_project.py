@@ -71,7 +71,8 @@ def make_tiny_project(folder: Path) -> None:
     params["features"] = {"toybox-laptop": params["features"]["toybox-laptop"]}
     params["datasets"] = {"toybox": params["datasets"]["toybox"]}
     params["sizes"]["laptop"] = {stage: {} for stage in params["sizes"]["laptop"]}
-    params["rows"]["toybox-car"]["learn_base_shape"].pop("iterations")
+    for row in params["rows"].values():
+        row["learn_base_shape"].pop("iterations", None)
     replace(params, TINY)
     write_params(folder, params)
     run(folder, "dvc", "init", "--quiet", "--no-scm")
