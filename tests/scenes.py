@@ -31,7 +31,7 @@ class Scene:
             elevation=0.5 * torch.rand(batch, generator=rng),
             roll=0.2 * torch.randn(batch, generator=rng),
             center=0.05 * torch.randn(batch, 2, generator=rng),
-            scale=1.3 + 0.1 * torch.randn(batch, generator=rng),
+            scale=1.1 + 0.05 * torch.randn(batch, generator=rng),
         )
         self.backgrounds = interpolate(torch.rand(batch, 3, 4, 4, generator=rng), (32, 32), mode="bilinear")
         light_direction = normalize(torch.randn(batch, 3, generator=rng) + torch.tensor([0.0, 1.0, 0.0]), dim=1)
