@@ -6,22 +6,27 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.datasets.toybox.model import Specimens, spread, vectors
-from pipeline.datasets.toybox.paint import AIRCRAFT, LIVERIES, jitter, pick
+from pipeline.datasets.toybox.paint import palette, pick, shades
 from pipeline.datasets.toybox.solids import Solid, ellipsoid, join, kept, mirrored, moved, superellipse, tube
 
 BODY, WING, FIN, GLASS, STRIPE, ENGINE, NOSE, WHEEL, BELLY = range(9)
 GLOSS = np.array([0.2, 0.15, 0.15, 0.3, 0.2, 0.15, 0.15, 0.02, 0.15])
 SIDEWAYS, FORWARD = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 
-# Low and high, in units of the fuselage's length, for airliners, fighters and light planes: half span, root chord, share of the chord at
-# the tip, how far the tip is swept back, fuselage radius, fin height, half span of the tailplane.
-RANGES = np.array(
-    [
-        [[0.42, 0.52], [0.17, 0.23], [0.2, 0.35], [0.15, 0.28], [0.055, 0.075], [0.14, 0.19], [0.15, 0.2]],
-        [[0.28, 0.38], [0.3, 0.5], [0.12, 0.35], [0.15, 0.35], [0.06, 0.085], [0.14, 0.2], [0.15, 0.22]],
-        [[0.5, 0.75], [0.16, 0.24], [0.55, 1.0], [-0.02, 0.05], [0.065, 0.1], [0.12, 0.18], [0.16, 0.24]],
-    ]
-)
+AIRFRAMES = palette("e1e1e1 e1e1e1 b3b5b6 81868b 616555 cbaa38 b33f38 3f3f45 506ca0 95907c")
+LIVERIES = palette("b33030 304b95 303038 cba030 3f7c50 5995bc")
+
+# Low and high for airliners, fighters and light planes, in units of the fuselage's length.
+RANGES = {
+    "half span": [(0.42, 0.52), (0.28, 0.38), (0.5, 0.75)],
+    "chord at the root": [(0.17, 0.23), (0.3, 0.5), (0.16, 0.24)],
+    "share of it at the tip": [(0.2, 0.35), (0.12, 0.35), (0.55, 1.0)],
+    "sweep of the tip": [(0.15, 0.28), (0.15, 0.35), (-0.02, 0.05)],
+    "radius of the fuselage": [(0.055, 0.075), (0.06, 0.085), (0.065, 0.1)],
+    "height of the fin": [(0.14, 0.19), (0.14, 0.2), (0.12, 0.18)],
+    "half span of the tailplane": [(0.15, 0.2), (0.15, 0.22), (0.16, 0.24)],
+}
+SHARES = (0.45, 0.25, 0.3)
 
 
 class Proportions(NamedTuple):
@@ -57,13 +62,14 @@ class Proportions(NamedTuple):
 def build_aeroplanes(count: int, rng: np.random.Generator) -> Specimens:
     """Build random aeroplanes."""
     sizes = _proportions(count, rng)
-    parts = [_fuselage(sizes, rng), *_wings(sizes, rng), *_tail(sizes, rng), *_engines(sizes, rng), *_wheels(sizes, rng)]
-    return Specimens(join(parts), _palette(count, rng), GLOSS)
+    parts = [*_wings(sizes, rng), *_tail(sizes, rng), *_engines(sizes, rng), *_wheels(sizes, rng)]
+    return Specimens(join([_fuselage(sizes, rng), *parts]), _palette(count, rng), GLOSS)
 
 
 def _proportions(count: int, rng: np.random.Generator) -> Proportions:
-    kind = rng.choice(3, count, p=(0.45, 0.25, 0.3))
-    drawn = rng.uniform(RANGES[kind, :, 0], RANGES[kind, :, 1]).T
+    kind = rng.choice(3, count, p=SHARES)
+    ranges = np.array(list(RANGES.values()))[:, kind]
+    drawn = rng.uniform(ranges[..., 0], ranges[..., 1])
     radius = drawn[4]
     high = (kind == 2) & (rng.random(count) < 0.5)
     return Proportions(
@@ -192,14 +198,12 @@ def _wheels(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     return [kept(join([main, leg, nose, nose_leg]), down)]
 
 
-def _palette(count: int, rng: np.random.Generator) -> Float[np.ndarray, "B 9 3"]:
-    body, livery = pick(AIRCRAFT, count, rng), pick(LIVERIES, count, rng)
-    palette = np.repeat(body[:, None], 9, axis=1)
-    other = pick(AIRCRAFT, count, rng)
+def _palette(count: int, rng: np.random.Generator) -> Float[np.ndarray, "B M 3"]:
+    body, other, livery = (pick(colors, count, rng) for colors in (AIRFRAMES, AIRFRAMES, LIVERIES))
+    colors = np.repeat(body[:, None], len(GLOSS), axis=1)
     for material, share in ((WING, 0.3), (BELLY, 0.35), (ENGINE, 0.5)):
-        palette[:, material] = np.where(rng.random((count, 1)) < share, other, body)
+        colors[:, material] = np.where(rng.random((count, 1)) < share, other, body)
     for material, share in ((FIN, 0.55), (STRIPE, 0.55), (NOSE, 0.3), (ENGINE, 0.2)):
-        palette[:, material] = np.where(rng.random((count, 1)) < share, livery, palette[:, material])
-    palette[:, GLASS] = jitter(np.full((count, 3), 0.05), 0.02, rng)
-    palette[:, WHEEL] = jitter(np.full((count, 3), 0.06), 0.02, rng)
-    return palette
+        colors[:, material] = np.where(rng.random((count, 1)) < share, livery, colors[:, material])
+    colors[:, GLASS] = colors[:, WHEEL] = shades("404040", count, rng)
+    return colors

@@ -6,89 +6,40 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.datasets.toybox.model import Specimens, spread, vectors
-from pipeline.datasets.toybox.paint import car_paint, jitter
+from pipeline.datasets.toybox.paint import palette, shades, vary
 from pipeline.datasets.toybox.solids import Solid, box, ellipsoid, join, kept, loft, mirrored, moved, superellipse
 
 BODY, GLASS, ROOF, PILLAR, TYRE, HUB, HEAD_LIGHT, TAIL_LIGHT, BUMPER, GRILLE, PLATE, ARCH, SILL, DECK = range(14)
 GLOSS = np.array([0.22, 0.22, 0.22, 0.15, 0.02, 0.3, 0.3, 0.15, 0.15, 0.1, 0.05, 0.0, 0.15, 0.2])
 
-# Low and high of: length, width, height in metres; then positions along the length, from the front, of the windscreen's foot and top, of
-# the roof's rear end and the rear window's foot; then the heights of bonnet, belt line and boot as shares of the height.
-STYLES = {
-    "sedan": (
-        (4.4, 5.1),
-        (1.72, 1.9),
-        (1.38, 1.5),
-        (0.26, 0.33),
-        (0.13, 0.18),
-        (0.64, 0.72),
-        (0.80, 0.87),
-        (0.52, 0.58),
-        (0.62, 0.67),
-        (0.60, 0.66),
-    ),
-    "hatchback": (
-        (3.5, 4.3),
-        (1.62, 1.8),
-        (1.42, 1.58),
-        (0.22, 0.29),
-        (0.13, 0.18),
-        (0.82, 0.88),
-        (0.93, 0.97),
-        (0.52, 0.58),
-        (0.60, 0.65),
-        (0.60, 0.64),
-    ),
-    "estate": (
-        (4.4, 4.9),
-        (1.72, 1.85),
-        (1.4, 1.55),
-        (0.25, 0.31),
-        (0.12, 0.17),
-        (0.86, 0.91),
-        (0.95, 0.98),
-        (0.53, 0.58),
-        (0.61, 0.65),
-        (0.60, 0.64),
-    ),
-    "off-roader": (
-        (4.1, 5.0),
-        (1.75, 2.0),
-        (1.7, 1.98),
-        (0.23, 0.30),
-        (0.05, 0.12),
-        (0.88, 0.94),
-        (0.95, 0.985),
-        (0.56, 0.62),
-        (0.62, 0.66),
-        (0.60, 0.65),
-    ),
-    "pickup": (
-        (5.0, 5.6),
-        (1.8, 2.0),
-        (1.65, 1.9),
-        (0.25, 0.30),
-        (0.08, 0.12),
-        (0.53, 0.57),
-        (0.56, 0.60),
-        (0.56, 0.60),
-        (0.60, 0.65),
-        (0.58, 0.63),
-    ),
-    "coupe": (
-        (3.9, 4.6),
-        (1.7, 1.9),
-        (1.15, 1.32),
-        (0.35, 0.42),
-        (0.13, 0.18),
-        (0.64, 0.74),
-        (0.84, 0.93),
-        (0.54, 0.60),
-        (0.64, 0.70),
-        (0.64, 0.72),
-    ),
+PAINTS = palette("e5e5e2 303035 b3b5b8 6f7376 bc3030 385095 892738 e1bc30 306f50 bcad95 5990c4 cb7c30 99b3ad 765945")
+PAINT_SHARES = np.array([16, 12, 16, 9, 15, 9, 4, 6, 3, 3, 4, 2, 3, 1]) / 103
+
+# The cabin from above, from its front to its rear on one side: x and z as shares of its half width and half length.
+HALF_OUTLINE = np.array(
+    [
+        [0.0, 1.02], [0.55, 1.0], [0.86, 0.97], [0.96, 0.89], [1.0, 0.8], [1.0, 0.08],
+        [1.0, -0.02], [1.0, -0.72], [0.96, -0.87], [0.86, -0.96], [0.55, -1.0], [0.0, -1.02],
+    ]
+)  # fmt: skip
+HALF_WINDOWS = (GLASS, GLASS, PILLAR, PILLAR, GLASS, PILLAR, GLASS, PILLAR, PILLAR, GLASS, GLASS)
+
+# Low and high for saloons, hatchbacks, estates, off-roaders, pickups and coupes. Sizes in metres; positions along the
+# length as shares of it from the front; heights as shares of the height.
+RANGES = {
+    "length": [(4.4, 5.1), (3.5, 4.3), (4.4, 4.9), (4.1, 5.0), (5.0, 5.6), (3.9, 4.6)],
+    "width": [(1.72, 1.9), (1.62, 1.8), (1.72, 1.85), (1.75, 2.0), (1.8, 2.0), (1.7, 1.9)],
+    "height": [(1.38, 1.5), (1.42, 1.58), (1.4, 1.55), (1.7, 1.98), (1.65, 1.9), (1.15, 1.32)],
+    "foot of the windscreen": [(0.26, 0.33), (0.22, 0.29), (0.25, 0.31), (0.23, 0.3), (0.25, 0.3), (0.35, 0.42)],
+    "slope of the windscreen": [(0.13, 0.18), (0.13, 0.18), (0.12, 0.17), (0.05, 0.12), (0.08, 0.12), (0.13, 0.18)],
+    "rear of the roof": [(0.64, 0.72), (0.82, 0.88), (0.86, 0.91), (0.88, 0.94), (0.53, 0.57), (0.64, 0.74)],
+    "foot of the rear window": [(0.8, 0.87), (0.93, 0.97), (0.95, 0.98), (0.95, 0.985), (0.56, 0.6), (0.84, 0.93)],
+    "height of the bonnet": [(0.52, 0.58), (0.52, 0.58), (0.53, 0.58), (0.56, 0.62), (0.56, 0.6), (0.54, 0.6)],
+    "height of the belt line": [(0.62, 0.67), (0.6, 0.65), (0.61, 0.65), (0.62, 0.66), (0.6, 0.65), (0.64, 0.7)],
+    "height of the boot": [(0.6, 0.66), (0.6, 0.64), (0.6, 0.64), (0.6, 0.65), (0.58, 0.63), (0.64, 0.72)],
 }
-SHARES = (0.3, 0.2, 0.12, 0.18, 0.06, 0.14)
+PICKUP = 4
+STYLE_SHARES = (0.3, 0.2, 0.12, 0.18, 0.06, 0.14)
 
 
 class Proportions(NamedTuple):
@@ -114,15 +65,15 @@ class Proportions(NamedTuple):
 
 def build_cars(count: int, rng: np.random.Generator) -> Specimens:
     """Build random cars."""
-    style = rng.choice(len(STYLES), count, p=SHARES)
+    style = rng.choice(len(STYLE_SHARES), count, p=STYLE_SHARES)
     sizes = _proportions(style, rng)
     parts = [_lower_body(sizes), _cabin(sizes), *_wheels(sizes, rng), *_lights(sizes, rng), *_trim(sizes, rng)]
-    return Specimens(join(parts), _palette(count, style == list(STYLES).index("pickup"), rng), GLOSS)
+    return Specimens(join(parts), _palette(count, style == PICKUP, rng), GLOSS)
 
 
 def _proportions(style: Int[np.ndarray, " B"], rng: np.random.Generator) -> Proportions:
-    ranges = np.array(list(STYLES.values()))[style]
-    drawn = rng.uniform(ranges[..., 0], ranges[..., 1]).T
+    ranges = np.array(list(RANGES.values()))[:, style]
+    drawn = rng.uniform(ranges[..., 0], ranges[..., 1])
     length, width, height, cowl, rake, roof_rear, rear_glass, bonnet, belt, boot = drawn
     wheel = spread(rng, 0.29, 0.35, len(style)) * (0.55 + 0.3 * height)
     clearance = wheel * spread(rng, 0.45, 0.7, len(style))
@@ -159,8 +110,9 @@ def _lower_body(sizes: Proportions) -> Solid:
     ]
     sink = 0.03 * sizes.height
     tops = [
-        sizes.boot - 4 * sink, sizes.boot - 1.2 * sink, sizes.boot - 0.3 * sink, sizes.boot, sizes.belt, sizes.belt, sizes.belt,
-        (sizes.belt + 2 * sizes.bonnet) / 3, sizes.bonnet - sink, sizes.bonnet - 2.5 * sink, sizes.bonnet - 5 * sink,
+        sizes.boot - 4 * sink, sizes.boot - 1.2 * sink, sizes.boot - 0.3 * sink, sizes.boot,
+        sizes.belt, sizes.belt, sizes.belt, (sizes.belt + 2 * sizes.bonnet) / 3,
+        sizes.bonnet - sink, sizes.bonnet - 2.5 * sink, sizes.bonnet - 5 * sink,
     ]  # fmt: skip
     lift = [3.5, 2.0, 1.0, 0.3, 0, 0, 0, 0, 0.6, 1.6, 3.0]
     plan = [0.84, 0.93, 0.97, 0.99, 1, 1, 1, 0.99, 0.94, 0.86, 0.76]
@@ -179,62 +131,46 @@ def _lower_body(sizes: Proportions) -> Solid:
 
 
 def _cabin(sizes: Proportions) -> Solid:
-    half = np.array(
-        [[0.0, 1.02], [0.55, 1.0], [0.86, 0.97], [0.96, 0.89], [1, 0.8], [1, 0.08], [1, -0.02], [1, -0.72], [0.96, -0.87], [0.86, -0.96], [0.55, -1.0], [0, -1.02]]
-    )  # fmt: skip
-    outline = np.concatenate([half, half[-2:0:-1] * [-1, 1]])
-    glass_side = [GLASS, GLASS, PILLAR, PILLAR, GLASS, PILLAR, GLASS, PILLAR, PILLAR, GLASS, GLASS]
-    window = np.array([*glass_side, *glass_side[::-1]])
-    levels = np.array([-0.12, 0.06, 0.84, 0.96, 1.0])
+    outline = np.concatenate([HALF_OUTLINE, HALF_OUTLINE[-2:0:-1] * [-1, 1]])
     rings = []
-    for level, rounding in zip(levels, (1.0, 1.0, 1.0, 0.97, 0.82), strict=True):
+    for level, rounding in ((-0.12, 1.0), (0.06, 1.0), (0.84, 1.0), (0.96, 0.97), (1.0, 0.82)):
         front = sizes.along(sizes.cowl + level * (sizes.roof_front - sizes.cowl))
         rear = sizes.along(sizes.rear_glass + level * (sizes.roof_rear - sizes.rear_glass))
         half_width = sizes.width * (0.46 - 0.075 * level) * rounding
         height = sizes.belt + level * (sizes.height - sizes.belt)
         middle, reach = (front + rear) / 2, (front - rear) / 2 * rounding
-        rings.append(
-            vectors(
-                outline[:, 0] * half_width[:, None], height[:, None], middle[:, None] + outline[:, 1] * reach[:, None]
-            )
-        )
-    materials = np.stack([np.full(22, BODY), window, np.full(22, ROOF), np.full(22, ROOF)])
+        across, along = np.outer(half_width, outline[:, 0]), np.outer(reach, outline[:, 1])
+        rings.append(vectors(across, height[:, None], middle[:, None] + along))
+    windows = np.array([*HALF_WINDOWS, *HALF_WINDOWS[::-1]])
+    roof = np.full(len(outline), ROOF)
+    materials = np.stack([np.full(len(outline), BODY), windows, roof, roof])
     return loft(np.stack(rings, axis=1), materials, (BODY, ROOF))
 
 
 def _wheels(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     count = len(sizes.length)
+    side = sizes.width / 2
     solids = []
     for station in (spread(rng, 0.16, 0.2, count), spread(rng, 0.78, 0.83, count)):
-        z = sizes.along(station)
-        x = sizes.width / 2
+        axle = vectors(0, sizes.wheel, sizes.along(station))
+        arch = axle + vectors(0, 0.12 * sizes.wheel, 0)
+        rim = sizes.wheel * spread(rng, 0.55, 0.72, count)
         solids += [
-            mirrored(_disc(sizes.wheel * 1.2, x - 0.15, x * 1.004, vectors(0, sizes.wheel * 1.12, z), ARCH, ARCH)),
-            mirrored(_disc(sizes.wheel, x - 0.19, x + 0.012, vectors(0, sizes.wheel, z), TYRE, TYRE)),
-            mirrored(
-                _disc(
-                    sizes.wheel * spread(rng, 0.55, 0.72, count),
-                    x - 0.05,
-                    x + 0.03,
-                    vectors(0, sizes.wheel, z),
-                    HUB,
-                    HUB,
-                )
-            ),
+            mirrored(_disc(sizes.wheel * 1.2, side - 0.15, side * 1.004, arch, ARCH)),
+            mirrored(_disc(sizes.wheel, side - 0.19, side + 0.012, axle, TYRE)),
+            mirrored(_disc(rim, side - 0.05, side + 0.03, axle, HUB)),
         ]
     return solids
 
 
 def _disc(
-    radius: np.ndarray, inner: np.ndarray, outer: np.ndarray, center: Float[np.ndarray, "B 3"], side: int, face: int
+    radius: np.ndarray, inner: np.ndarray, outer: np.ndarray, center: Float[np.ndarray, "B 3"], material: int
 ) -> Solid:
     """Build a cylinder whose axis is parallel to x, between two positions on it."""
     ring = superellipse(12, 2.0)
-    rings = [
-        center[:, None] + vectors(position[:, None], ring[:, 0] * radius[:, None], ring[:, 1] * radius[:, None])
-        for position in (inner, outer)
-    ]
-    return loft(np.stack(rings, axis=1), side, (side, face))
+    around = np.outer(radius, ring[:, 0]), np.outer(radius, ring[:, 1])
+    rings = [center[:, None] + vectors(position[:, None], *around) for position in (inner, outer)]
+    return loft(np.stack(rings, axis=1), material, (material, material))
 
 
 def _lights(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
@@ -272,24 +208,21 @@ def _trim(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     ]
 
 
-def _palette(count: int, open_deck: np.ndarray, rng: np.random.Generator) -> Float[np.ndarray, "B 14 3"]:
-    paint = car_paint(count, rng)
-    dark = jitter(np.full((count, 3), 0.04), 0.02, rng)
-    chrome = jitter(np.full((count, 3), 0.62), 0.12, rng)
-    palette = np.repeat(paint[:, None], 14, axis=1)
-    palette[:, GLASS] = jitter(np.array([0.05, 0.06, 0.07]) * rng.uniform(0.5, 3.0, (count, 1)), 0.02, rng)
-    two_tone = rng.random(count)
-    palette[two_tone < 0.1, ROOF] = car_paint(count, rng)[two_tone < 0.1]
-    palette[:, PILLAR] = np.where(rng.random((count, 1)) < 0.5, paint, dark)
-    palette[:, TYRE] = dark + 0.02
-    palette[:, HUB] = np.where(rng.random((count, 1)) < 0.8, chrome, dark + 0.1)
-    palette[:, HEAD_LIGHT] = jitter(np.array([0.85, 0.85, 0.8]), 0.15, rng, count)
-    palette[:, TAIL_LIGHT] = jitter(np.array([0.6, 0.04, 0.03]), 0.1, rng, count)
+def _palette(count: int, pickup: np.ndarray, rng: np.random.Generator) -> Float[np.ndarray, "B M 3"]:
+    paint, second = (vary(PAINTS[rng.choice(len(PAINTS), count, p=PAINT_SHARES)], rng) for _ in range(2))
+    dark, chrome, white = (shades(code, count, rng) for code in ("383838", "cdcdcd", "eaeae4"))
     kind = rng.random((count, 1))
-    palette[:, BUMPER] = np.where(kind < 0.5, paint, np.where(kind < 0.75, dark + 0.08, chrome))
-    palette[:, GRILLE] = np.where(rng.random((count, 1)) < 0.7, dark, chrome)
-    palette[:, PLATE] = jitter(np.array([0.8, 0.8, 0.75]), 0.15, rng, count)
-    palette[:, ARCH] = 0.02
-    palette[:, SILL] = np.where(rng.random((count, 1)) < 0.35, dark + 0.05, paint)
-    palette[:, DECK] = np.where(open_deck[:, None], dark, paint)
-    return np.clip(palette, 0.0, 1.0)
+    colors = np.repeat(paint[:, None], len(GLOSS), axis=1)
+    colors[:, GLASS] = dark * rng.uniform(0.8, 3.5, (count, 1))
+    colors[:, ROOF] = np.where(rng.random((count, 1)) < 0.1, second, paint)
+    colors[:, PILLAR] = np.where(rng.random((count, 1)) < 0.5, paint, dark)
+    colors[:, TYRE] = dark + 0.02
+    colors[:, HUB] = np.where(rng.random((count, 1)) < 0.8, chrome, dark + 0.1)
+    colors[:, HEAD_LIGHT] = colors[:, PLATE] = white
+    colors[:, TAIL_LIGHT] = shades("cb3832", count, rng)
+    colors[:, BUMPER] = np.where(kind < 0.5, paint, np.where(kind < 0.75, dark + 0.08, chrome))
+    colors[:, GRILLE] = np.where(rng.random((count, 1)) < 0.7, dark, chrome)
+    colors[:, ARCH] = 0.02
+    colors[:, SILL] = np.where(rng.random((count, 1)) < 0.35, dark + 0.05, paint)
+    colors[:, DECK] = np.where(pickup[:, None], dark, paint)
+    return colors

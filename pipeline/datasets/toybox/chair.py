@@ -6,12 +6,17 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.datasets.toybox.model import Specimens, between, polyline, spread, vectors
-from pipeline.datasets.toybox.paint import FABRICS, METALS, WOODS, pick
+from pipeline.datasets.toybox.paint import palette, pick
 from pipeline.datasets.toybox.solids import Solid, ellipsoid, join, kept, mirrored, moved, tube
 
 FRAME, SEAT, BACK, LEG = range(4)
 GLOSS = np.array([0.12, 0.04, 0.06, 0.15])
 SIDEWAYS, FORWARD = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+
+
+WOODS = palette("956f4b 6f4b30 b3956f 453830 cbc8c2")
+METALS = palette("bcbcbc 383838 89898b dadada")
+FABRICS = palette("3f3f45 aa3f3f 455989 b3a690 898989 cbc8c2 598159 c48938 815d45 5995a0")
 
 
 class Proportions(NamedTuple):
@@ -79,7 +84,9 @@ def _seat(sizes: Proportions) -> Solid:
     return tube(path, np.stack([half_width, thickness], axis=-1), SIDEWAYS, SEAT, exponent=4.5, size=12)
 
 
-def _rod(start: np.ndarray, end: np.ndarray, radius: np.ndarray, material: int, across: tuple[float, float, float]) -> Solid:
+def _rod(
+    start: np.ndarray, end: np.ndarray, radius: np.ndarray, material: int, across: tuple[float, float, float]
+) -> Solid:
     radii = np.repeat(radius[:, None, None], 2, axis=1)
     return tube(between(start, end, (0.0, 1.0)), np.repeat(radii, 2, axis=2), across, material, exponent=3.0, size=6)
 
@@ -124,7 +131,9 @@ def _back(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     slab = np.stack([half_width, np.repeat(thickness[:, None], 5, axis=1)], axis=-1)
     panel = tube(path, slab, SIDEWAYS, BACK, exponent=4.0, size=12)
     radius = spread(rng, 0.01, 0.022, count)
-    posts = mirrored(_rod(sizes.on_back(0.42 * sizes.width, -0.1), sizes.on_back(0.42 * sizes.width, 1.0), radius, FRAME, SIDEWAYS))
+    posts = mirrored(
+        _rod(sizes.on_back(0.42 * sizes.width, -0.1), sizes.on_back(0.42 * sizes.width, 1.0), radius, FRAME, SIDEWAYS)
+    )
     return [kept(panel, ~sizes.slatted), kept(posts, ~sizes.upholstered), *_slats(sizes, radius, rng)]
 
 
@@ -140,7 +149,9 @@ def _slats(sizes: Proportions, radius: np.ndarray, rng: np.random.Generator) -> 
         rail = tube(path, height, FORWARD, FRAME, exponent=4.0, size=6)
         rails.append(kept(rail, sizes.slatted & (~spindles | (share > 0.9))))
     for share in (0.15, 0.5):
-        spindle = _rod(sizes.on_back(share * half, 0.0), sizes.on_back(share * half, 0.95), radius * 0.6, FRAME, SIDEWAYS)
+        spindle = _rod(
+            sizes.on_back(share * half, 0.0), sizes.on_back(share * half, 0.95), radius * 0.6, FRAME, SIDEWAYS
+        )
         rails.append(kept(mirrored(spindle), sizes.slatted & spindles))
     return rails
 
@@ -151,17 +162,21 @@ def _arms(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     x, front = 0.5 * sizes.width, sizes.depth * spread(rng, 0.25, 0.42, count)
     radius = spread(rng, 0.012, 0.025, count)
     rest = _rod(vectors(x, height, sizes.rear), vectors(x, height, front), radius, FRAME, SIDEWAYS)
-    post = _rod(vectors(x * 0.96, sizes.seat, front * 0.95), vectors(x, height, front * 0.95), radius * 0.8, FRAME, SIDEWAYS)
+    post = _rod(
+        vectors(x * 0.96, sizes.seat, front * 0.95), vectors(x, height, front * 0.95), radius * 0.8, FRAME, SIDEWAYS
+    )
     open_arms = kept(mirrored(join([rest, post])), sizes.arms & ~sizes.upholstered)
     middle = (height + sizes.seat * 0.55) / 2
     path = between(vectors(x, middle, sizes.rear), vectors(x, middle, front * 1.1), (0.0, 0.05, 0.9, 1.0))
     half_height = (height - sizes.seat * 0.55) / 2
-    radii = np.stack([np.outer(sizes.width, [0.06, 0.09, 0.09, 0.06]), np.outer(half_height, [0.9, 1, 1, 0.85])], axis=-1)
+    radii = np.stack(
+        [np.outer(sizes.width, [0.06, 0.09, 0.09, 0.06]), np.outer(half_height, [0.9, 1, 1, 0.85])], axis=-1
+    )
     padded = kept(mirrored(tube(path, radii, SIDEWAYS, SEAT, exponent=4.0, size=10)), sizes.arms & sizes.upholstered)
     return [open_arms, padded]
 
 
-def _palette(sizes: Proportions, rng: np.random.Generator) -> Float[np.ndarray, "B 4 3"]:
+def _palette(sizes: Proportions, rng: np.random.Generator) -> Float[np.ndarray, "B M 3"]:
     count = len(sizes.width)
     wooden = (rng.random(count) < 0.65) & ~sizes.office
     frame = np.where(wooden[:, None], pick(WOODS, count, rng), pick(METALS, count, rng))

@@ -19,7 +19,7 @@ def develop(radiance: Float[np.ndarray, "B H W 3"], rng: np.random.Generator) ->
     exposed = np.clip(radiance * metered * np.exp2(vary(-0.5, 0.8)) * vary(0.95, 1.05, 3), 0, 1) ** (1 / 2.2)
     gray = exposed.mean(axis=-1, keepdims=True)
     colors = gray + (exposed - gray) * vary(0.4, 1.2)
-    colors = 0.5 + (colors - 0.5) * vary(0.95, 1.6) + vary(-0.06, 0.06)
+    colors = 0.5 + (colors - 0.5) * vary(1.0, 1.7) + vary(-0.06, 0.06)
     colors = _soften(colors, vary(-0.35, 0.1)) + rng.normal(0.0, 1.0, colors.shape) * vary(0.0, 0.02)
     pictures = (np.clip(colors, 0, 1) * 255).round().astype(np.uint8)
     qualities = rng.integers(60, 96, count)

@@ -6,12 +6,24 @@ import numpy as np
 from jaxtyping import Float
 
 from pipeline.datasets.toybox.model import Specimens, polyline, spread, vectors
-from pipeline.datasets.toybox.paint import COATS, jitter
+from pipeline.datasets.toybox.paint import palette, shades, vary
 from pipeline.datasets.toybox.solids import Solid, ellipsoid, join, mirrored, moved, tube
 
 COAT, MANE, POINT, MUZZLE, PATCH, HOOF = range(6)
 GLOSS = np.array([0.06, 0.04, 0.05, 0.02, 0.06, 0.03])
 SIDEWAYS = (1.0, 0.0, 0.0)
+
+COATS = {
+    "bay": "815938 302727 3f3027",
+    "chestnut": "99693f 95653f 90613f",
+    "dark bay": "593f30 302727 383027",
+    "black": "303030 272727 303030",
+    "palomino": "bc9b6c daceb8 b3956c",
+    "white": "d3cec8 cbc7bf bcb6af",
+    "gray": "999795 616161 6c6969",
+}
+"""Colours of the coat, of mane and tail, and of the lower legs."""
+SHARES = (0.24, 0.2, 0.14, 0.12, 0.08, 0.12, 0.1)
 
 
 class Proportions(NamedTuple):
@@ -63,14 +75,17 @@ def _neck_and_head(sizes: Proportions) -> list[Solid]:
     normal = vectors(0, reach, -rise)
     path = polyline(withers - 0.08 * neck, withers + 0.12 * neck, withers + 0.3 * neck, withers + 0.46 * neck)
     path = path + np.array([0.0, 0.3, 0.35, 0.0])[:, None] * (0.1 * normal)[:, None]
-    radii = np.stack([np.outer(sizes.girth, [0.5, 0.42, 0.32, 0.28]), np.outer(sizes.girth, [0.95, 0.75, 0.55, 0.45])], -1)
+    radii = np.stack(
+        [np.outer(sizes.girth, [0.5, 0.42, 0.32, 0.28]), np.outer(sizes.girth, [0.95, 0.75, 0.55, 0.45])], -1
+    )
     mane = path[:, 1:] + (normal * sizes.girth[:, None])[:, None] * np.array([0.68, 0.5, 0.42])[:, None]
     crest = np.stack([np.outer(sizes.girth, [0.12, 0.14, 0.12]), np.outer(sizes.girth, [0.22, 0.26, 0.2])], axis=-1)
     poll = path[:, 3]
     facing = vectors(0, np.sin(sizes.head_angle), np.cos(sizes.head_angle))
     head_path = poll[:, None] + np.array([-0.06, 0.04, 0.16, 0.27, 0.32])[:, None] * facing[:, None]
     head_radii = np.stack(
-        [np.outer(sizes.girth, [0.2, 0.34, 0.27, 0.22, 0.14]), np.outer(sizes.girth, [0.28, 0.48, 0.36, 0.25, 0.16])], axis=-1
+        [np.outer(sizes.girth, [0.2, 0.34, 0.27, 0.22, 0.14]), np.outer(sizes.girth, [0.28, 0.48, 0.36, 0.25, 0.16])],
+        axis=-1,
     )
     face = np.repeat([[COAT], [COAT], [COAT], [MUZZLE]], 8, axis=1)
     ear_at = poll - 0.05 * facing + 0.1 * normal
@@ -128,13 +143,11 @@ def _tail(sizes: Proportions, rng: np.random.Generator) -> Solid:
     return tube(path, np.stack([radii * 0.8, radii], axis=-1), SIDEWAYS, MANE, size=6)
 
 
-def _palette(count: int, rng: np.random.Generator) -> Float[np.ndarray, "B 6 3"]:
-    coats = np.array(COATS)[rng.choice(len(COATS), count, p=(0.24, 0.2, 0.14, 0.12, 0.08, 0.12, 0.1))]
-    palette = np.stack([jitter(coats[:, material], 0.04, rng) for material in range(3)], axis=1)
-    coat, mane, point = palette.transpose(1, 0, 2)
-    white = jitter(np.full((count, 3), 0.65), 0.05, rng)
-    socks = rng.random((count, 1))
-    point = np.where(socks < 0.25, white, point)
+def _palette(count: int, rng: np.random.Generator) -> Float[np.ndarray, "B M 3"]:
+    colors = np.stack([palette(codes) for codes in COATS.values()])[rng.choice(len(COATS), count, p=SHARES)]
+    coat, mane, point = (vary(colors[:, material], rng) for material in range(3))
+    white = shades("d2d2d2", count, rng)
+    point = np.where(rng.random((count, 1)) < 0.25, white, point)
     muzzle = np.where(rng.random((count, 1)) < 0.3, white, (coat + point) / 2)
     patch = np.where(rng.random((count, 1)) < 0.12, white, coat)
     return np.stack([coat, mane, point, muzzle, patch, 0.5 * point + 0.05], axis=1)

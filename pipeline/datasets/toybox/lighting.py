@@ -3,11 +3,15 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.nn.functional import normalize
 
 from pipeline.datasets.toybox.model import Specimens
 from pipeline.datasets.toybox.noise import sample
 from pipeline.datasets.toybox.surroundings import Place
+from pipeline.rendering.lighting import vertex_normals
 
 
 class Lighting(NamedTuple):
@@ -54,13 +58,13 @@ def choose_lighting(place: Place, rng: np.random.Generator) -> Lighting:
 
 
 def shade_faces(
-    vertices: Float[np.ndarray, "B V 3"],
+    vertices: Float[Tensor, "B V 3"],
     specimens: Specimens,
     toward_camera: Float[np.ndarray, "B 3"],
     lighting: Lighting,
 ) -> Float[np.ndarray, "B F 3"]:
     """Return the radiance of every face: diffuse light of sun and sky, and a mirror image of sky, floor and sun."""
-    normals = _normals(vertices, specimens.solid.faces)
+    normals = _normals(vertices, torch.from_numpy(specimens.solid.faces))
     lambert = np.maximum(np.einsum("bfc,bc->bf", normals, lighting.sun), 0)
     light = lighting.ambient[:, None] * (0.75 + 0.5 * normals[..., 1]) + lighting.strength[:, None] * lambert
     facing = np.einsum("bfc,bc->bf", normals, toward_camera)
@@ -77,15 +81,9 @@ def shade_faces(
     return (diffuse * (1 - gloss / 2) + gloss * (surroundings + shine[..., None])).astype(np.float32)
 
 
-def _normals(vertices: Float[np.ndarray, "B V 3"], faces: np.ndarray) -> Float[np.ndarray, "B F 3"]:
+def _normals(vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"]) -> Float[np.ndarray, "B F 3"]:
     """Return unit normals half way between those of the flat faces and those of a smooth surface."""
-    corners = vertices[:, faces]
-    normals = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0])
-    smooth = np.zeros_like(vertices)
-    for corner in range(3):
-        np.add.at(smooth, (slice(None), faces[:, corner]), normals)
-    return _unit(_unit(normals) + _unit(_unit(smooth)[:, faces].mean(axis=2)))
-
-
-def _unit(normals: np.ndarray) -> np.ndarray:
-    return normals / (np.linalg.norm(normals, axis=-1, keepdims=True) + 1e-12)
+    first, second, third = vertices[:, faces].unbind(2)
+    flat = normalize(torch.linalg.cross(second - first, third - first), dim=-1)
+    smooth = normalize(vertex_normals(vertices, faces)[:, faces].mean(dim=2), dim=-1)
+    return normalize(flat + smooth, dim=-1).numpy()

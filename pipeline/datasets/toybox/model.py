@@ -13,7 +13,7 @@ class Specimens(NamedTuple):
     """A batch of random objects of one category.
 
     Attributes:
-        solid: in the learned-frame convention: the front faces +z, up is +y, the mirror plane is x = 0; in units of its own.
+        solid: the front faces +z, up is +y, the mirror plane is x = 0; in units of its own.
         palette: RGB reflectance in [0, 1] of each material of each object.
         gloss: share of the surroundings that each material mirrors, range [0, 1].
     """

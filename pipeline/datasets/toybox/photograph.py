@@ -5,16 +5,18 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from jaxtyping import Float, UInt8
+from torch import Tensor
 
 from pipeline.datasets.toybox.development import develop, shrink
 from pipeline.datasets.toybox.lighting import choose_lighting, shade_faces
 from pipeline.datasets.toybox.model import Specimens
 from pipeline.datasets.toybox.scenery import Footprint, Rays, paint_scenery
-from pipeline.datasets.toybox.solids import fit_unit_cube
 from pipeline.datasets.toybox.surroundings import Setting, choose_places
 from pipeline.datasets.toybox.views import Viewpoints, choose_poses
 from pipeline.datasets.truth import GroundTruth
+from pipeline.errors import ConfigError
 from pipeline.geometry.camera import CameraConfig, Pose, project, rotation_from_angles
+from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.rendering.rasterize import rasterize
 
 SCENERY_SUPERSAMPLING = 2
@@ -34,30 +36,55 @@ class PhotographConfig:
     supersampling: int
     camera: CameraConfig
 
+    def __post_init__(self) -> None:
+        """Raise ConfigError if the object's rays cannot be shared out among the scenery's."""
+        if self.supersampling < 1 or self.supersampling % SCENERY_SUPERSAMPLING:
+            raise ConfigError(f"the toybox's supersampling is {self.supersampling}; expected a positive even number")
+
 
 def photograph(
     specimens: Specimens, viewpoints: Viewpoints, setting: Setting, config: PhotographConfig, rng: np.random.Generator
 ) -> tuple[UInt8[np.ndarray, "B H W 3"], GroundTruth]:
     """Photograph every specimen once, each in its own light and place."""
-    vertices = fit_unit_cube(specimens.solid.vertices).astype(np.float32)
-    faces = specimens.solid.faces
+    vertices = fit_unit_cube(torch.from_numpy(specimens.solid.vertices).float())
     pose = choose_poses(viewpoints, vertices, config.camera, rng)
     place = choose_places(setting, pose.elevation.numpy(), rng)
     lighting = choose_lighting(place, rng)
-    vertices_ndc = project(torch.from_numpy(vertices), pose, config.camera)
-    index = rasterize(vertices_ndc, torch.from_numpy(faces), config.size * config.supersampling).face_index.numpy()
     rotation = rotation_from_angles(pose.azimuth, pose.elevation, pose.roll).numpy()
-    face_colors = shade_faces(vertices, specimens, rotation[:, 2], lighting)
-    seen = face_colors[np.arange(len(index))[:, None, None], index] * (index >= 0)[..., None]
-    reduction = config.supersampling // SCENERY_SUPERSAMPLING
-    cover = shrink((index >= 0)[..., None].astype(np.float32), reduction)
+    seen, cover = _draw(vertices, specimens, pose, shade_faces(vertices, specimens, rotation[:, 2], lighting), config)
     rays = _rays(pose, rotation, config)
-    scenery = paint_scenery(place, rays, _footprint(vertices), lighting.shadow, rng)
-    scenery *= lighting.on_ground[:, None, None, None]
-    radiance = shrink(seen, reduction) + scenery * (1 - cover)
-    masks = (shrink(cover, SCENERY_SUPERSAMPLING)[..., 0] >= 0.5).astype(np.uint8)
+    scenery = paint_scenery(place, rays, _footprint(vertices.numpy()), lighting.shadow, rng)
+    radiance = seen + scenery * lighting.on_ground[:, None, None, None] * (1 - cover)
     images = develop(shrink(radiance, SCENERY_SUPERSAMPLING), rng)
-    return images, GroundTruth(*(values.numpy() for values in pose), masks, vertices, faces)
+    masks = (shrink(cover, SCENERY_SUPERSAMPLING)[..., 0] >= 0.5).astype(np.uint8)
+    truth = GroundTruth(
+        azimuth=pose.azimuth.numpy(),
+        elevation=pose.elevation.numpy(),
+        roll=pose.roll.numpy(),
+        center=pose.center.numpy(),
+        scale=pose.scale.numpy(),
+        masks=masks,
+        vertices=vertices.numpy(),
+        faces=specimens.solid.faces,
+    )
+    return images, truth
+
+
+def _draw(
+    vertices: Float[Tensor, "B V 3"],
+    specimens: Specimens,
+    pose: Pose,
+    face_colors: Float[np.ndarray, "B F 3"],
+    config: PhotographConfig,
+) -> tuple[Float[np.ndarray, "B H W 3"], Float[np.ndarray, "B H W 1"]]:
+    """Return the light from the object, black elsewhere, and its share of each of the scenery's pixels."""
+    vertices_ndc = project(vertices, pose, config.camera)
+    faces = torch.from_numpy(specimens.solid.faces)
+    index = rasterize(vertices_ndc, faces, config.size * config.supersampling).face_index.numpy()
+    inside = (index >= 0)[..., None]
+    seen = face_colors[np.arange(len(index))[:, None, None], index] * inside
+    reduction = config.supersampling // SCENERY_SUPERSAMPLING
+    return shrink(seen, reduction), shrink(inside.astype(np.float32), reduction)
 
 
 def _rays(pose: Pose, rotation: Float[np.ndarray, "B 3 3"], config: PhotographConfig) -> Rays:

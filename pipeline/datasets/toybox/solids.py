@@ -10,8 +10,8 @@ from jaxtyping import Float, Int
 class Solid(NamedTuple):
     """A batch of surfaces that share their faces.
 
-    Every connected part is closed, and its faces are counter-clockwise seen from outside, so the inside of the whole is where the winding
-    number is positive. Parts may overlap. A part that a picture lacks has all its vertices in one point.
+    Every connected part is closed, and its faces are counter-clockwise seen from outside, so the inside of the whole is
+    where the winding number is positive. Parts may overlap. A part that a picture lacks has all vertices at the origin.
     """
 
     vertices: Float[np.ndarray, "B V 3"]
@@ -41,17 +41,18 @@ def moved(solid: Solid, offset: Float[np.ndarray, "B 3"]) -> Solid:
 
 
 def kept(solid: Solid, present: np.ndarray) -> Solid:
-    """Return the solid shrunk to its first vertex in the pictures where `present` (B,) is false."""
-    return solid._replace(vertices=np.where(present[:, None, None], solid.vertices, solid.vertices[:, :1]))
+    """Return the solid shrunk into the origin, which should lie in the object's box, where `present` (B,) is false."""
+    return solid._replace(vertices=np.where(present[:, None, None], solid.vertices, 0.0))
 
 
 def loft(
-    rings: Float[np.ndarray, "B R S 3"], materials: int | Int[np.ndarray, "R_minus_1 S"], caps: tuple[int, int]
+    rings: Float[np.ndarray, "B R S 3"], materials: int | Int[np.ndarray, "R-1 S"], caps: tuple[int, int]
 ) -> Solid:
     """Skin a row of rings into a closed tube.
 
-    Each ring turns counter-clockwise seen from the last ring's side looking back at the first. `materials` says what the strip between two
-    rings is made of, per segment from one ring point to the next; `caps` does so for the first and last end, which fan out from their mean.
+    Each ring turns counter-clockwise as seen from the last ring. `materials` says what the strip between two rings is
+    made of, per segment from one ring point to the next; `caps` does so for the first and the last end, which fan out
+    from their mean.
     """
     batch, count, size, _ = rings.shape
     ends = rings[:, [0, -1]].mean(axis=2)
@@ -73,7 +74,7 @@ def loft(
 
 
 def superellipse(size: int, exponent: float) -> Float[np.ndarray, "S 2"]:
-    """Return a counter-clockwise ring between a circle (exponent 2) and the square [-1, 1]^2, symmetric about both axes."""
+    """Return a counter-clockwise ring between a circle (exponent 2) and the square [-1, 1]^2."""
     angle = (np.arange(size) + 0.5) * (2 * np.pi / size)
     wave = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     return np.sign(wave) * np.abs(wave) ** (2 / exponent)
@@ -117,9 +118,3 @@ def tube(
     rings = path[:, :, None] + sideways + ring[:, 1:] * radii[:, :, None, 1:] * upward[:, :, None]
     ends = (materials, materials) if isinstance(materials, int) else (int(materials[0, 0]), int(materials[-1, 0]))
     return loft(rings, materials, ends)
-
-
-def fit_unit_cube(vertices: Float[np.ndarray, "B V 3"]) -> Float[np.ndarray, "B V 3"]:
-    """Centre the bounding boxes on the origin and scale their longest sides to 1."""
-    low, high = vertices.min(axis=1, keepdims=True), vertices.max(axis=1, keepdims=True)
-    return (vertices - (low + high) / 2) / (high - low).max(axis=-1, keepdims=True)

@@ -6,36 +6,15 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from pipeline.datasets.toybox.noise import textures
-from pipeline.datasets.toybox.paint import pick
+from pipeline.datasets.toybox.paint import palette, pick
 
-ROADS = [[0.16, 0.16, 0.16], [0.26, 0.26, 0.26], [0.38, 0.37, 0.35], [0.09, 0.09, 0.09], [0.50, 0.49, 0.47]]
-LAND = [[0.10, 0.16, 0.04], [0.16, 0.22, 0.06], [0.28, 0.22, 0.12], [0.42, 0.34, 0.22], [0.07, 0.10, 0.03]]
-FLOORS = [[0.30, 0.18, 0.09], [0.45, 0.40, 0.33], [0.22, 0.21, 0.20], [0.55, 0.53, 0.50], [0.20, 0.08, 0.06]]
-WALLS = [
-    [0.34, 0.29, 0.23],
-    [0.38, 0.17, 0.11],
-    [0.55, 0.51, 0.43],
-    [0.24, 0.24, 0.25],
-    [0.62, 0.61, 0.58],
-    [0.12, 0.10, 0.09],
-]
-INTERIORS = [
-    [0.70, 0.68, 0.63],
-    [0.55, 0.48, 0.36],
-    [0.45, 0.50, 0.50],
-    [0.32, 0.24, 0.17],
-    [0.60, 0.35, 0.25],
-    [0.82, 0.81, 0.79],
-]
-FOLIAGE = [[0.06, 0.11, 0.02], [0.035, 0.06, 0.02], [0.13, 0.17, 0.04], [0.24, 0.13, 0.04], [0.08, 0.08, 0.04]]
-SKIES = [
-    [0.20, 0.38, 0.75],
-    [0.48, 0.62, 0.85],
-    [0.80, 0.82, 0.84],
-    [0.48, 0.49, 0.51],
-    [0.07, 0.18, 0.55],
-    [0.75, 0.48, 0.28],
-]
+ROADS = palette("6f6f6f 8b8b8b a6a4a0 555555 bcbab6")
+LAND = palette("596f38 6f8145 908161 ad9e81 4b5930")
+FLOORS = palette("957655 b3aa9b 817e7c c4c0bc 7c5045")
+WALLS = palette("9e9384 a6735d c4bdaf 868689 cecdc8 615955")
+INTERIORS = palette("dad7d0 c4b8a2 b3bcbc 998673 cba089 eae8e6")
+FOLIAGE = palette("455d27 354527 657338 866538 505038")
+SKIES = palette("7ca6e1 7ca6e1 b8ceed e7eaec b8babd 4b76c4 5f92d8 e1b890")
 
 
 class Setting(NamedTuple):
@@ -99,3 +78,8 @@ def _studio_colors(count: int, rng: np.random.Generator) -> Float[np.ndarray, "B
     kind = rng.random((count, 1))
     gray, color = rng.random((count, 1)) ** 2, rng.random((count, 3)) ** 2
     return np.where(kind < 0.65, rng.uniform(0.85, 1.1, (count, 1)), np.where(kind < 0.85, gray, color))
+
+
+def per_pixel(values: np.ndarray) -> np.ndarray:
+    """Give one value per photograph the shape that goes with one per pixel."""
+    return values[:, None, None] if values.dtype == bool else values[:, None, None].astype(np.float32)

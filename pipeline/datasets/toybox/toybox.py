@@ -20,7 +20,7 @@ from pipeline.datasets.toybox.views import Viewpoints
 from pipeline.datasets.truth import GroundTruth, concatenate
 from pipeline.seeding import numpy_generator
 
-CHUNK = 64
+CHUNK = 32
 
 
 class Category(NamedTuple):
@@ -32,7 +32,9 @@ class Category(NamedTuple):
 
 
 CATEGORIES = {
-    "aeroplane": Category(build_aeroplanes, Viewpoints((-60, 60), side_views=True, roll=8, fill=0.9), Setting(0.08, 0.0, 0.5)),
+    "aeroplane": Category(
+        build_aeroplanes, Viewpoints((-60, 60), side_views=True, roll=8, fill=0.9), Setting(0.08, 0.0, 0.5)
+    ),
     "car": Category(build_cars, Viewpoints((0, 30), side_views=False, roll=2, fill=0.97), Setting(0.13, 0.0, 0.0)),
     "chair": Category(build_chairs, Viewpoints((0, 30), side_views=False, roll=2, fill=0.9), Setting(0.2, 0.6, 0.0)),
     "horse": Category(build_horses, Viewpoints((-10, 10), side_views=True, roll=2, fill=0.93), Setting(0.06, 0.0, 0.0)),

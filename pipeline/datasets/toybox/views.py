@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import torch
 from jaxtyping import Float
+from torch import Tensor
 
 from pipeline.geometry.camera import CameraConfig, Pose, project
 
@@ -15,7 +16,7 @@ class Viewpoints(NamedTuple):
     elevation: tuple[float, float]
     """Lowest and highest, uniform between."""
     side_views: bool
-    """Azimuths favour the sides, left and right alike: 180 times Beta(1.5, 1.5), mirrored for half of the pictures; else uniform."""
+    """Whether azimuths favour the sides: 180 times Beta(1.5, 1.5), negated in half of the pictures; else uniform."""
     roll: float
     """Standard deviation of the in-plane turn."""
     fill: float
@@ -23,11 +24,11 @@ class Viewpoints(NamedTuple):
 
 
 def choose_poses(
-    viewpoints: Viewpoints, vertices: Float[np.ndarray, "B V 3"], camera: CameraConfig, rng: np.random.Generator
+    viewpoints: Viewpoints, vertices: Float[Tensor, "B V 3"], camera: CameraConfig, rng: np.random.Generator
 ) -> Pose:
-    """Draw viewpoints, and frame the objects as people crop photographs: filling most of the picture, a little off its middle.
+    """Draw viewpoints, and frame the objects as people crop photographs.
 
-    The scale brings the longer side of the object's box in the picture to a random share of the picture.
+    The longer side of the object's box takes up a random share of the picture, a little off its middle.
     """
     count = len(vertices)
     azimuth = rng.uniform(0.0, 2 * np.pi, count)
@@ -37,9 +38,14 @@ def choose_poses(
     roll = np.deg2rad(rng.normal(0.0, viewpoints.roll, count))
     fill = np.clip(rng.normal(viewpoints.fill, 0.11, count), 0.5, 1.25)
     shift = rng.normal(0.0, 0.07, (count, 2))
-    angles = [torch.from_numpy(angle).float() for angle in (azimuth, elevation, roll)]
-    plain = Pose(*angles, torch.zeros(count, 2), torch.ones(count))
-    extent = project(torch.from_numpy(vertices).float(), plain, camera)[..., :2]
+    plain = Pose(
+        azimuth=torch.from_numpy(azimuth).float(),
+        elevation=torch.from_numpy(elevation).float(),
+        roll=torch.from_numpy(roll).float(),
+        center=torch.zeros(count, 2),
+        scale=torch.ones(count),
+    )
+    extent = project(vertices, plain, camera)[..., :2]
     lower, upper = extent.amin(dim=1), extent.amax(dim=1)
     scale = torch.from_numpy(2 * fill).float() / (upper - lower).amax(dim=1)
     center = torch.from_numpy(shift).float() - scale[:, None] * (lower + upper) / 2
