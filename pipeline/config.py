@@ -1,6 +1,7 @@
 """Read params.yaml into frozen dataclasses, strictly: the only reader of YAML in the project."""
 
 import difflib
+import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
@@ -40,6 +41,11 @@ def load(path: Path, config_class: type[Config], sections: Sequence[str]) -> Con
             raise ConfigError(f"{path}: '{section}' must be a section of keys and values, not {found!r}")
         merged = _merge(merged, _mark(found, section))
     return _build(config_class, merged, sections[0], path)
+
+
+def from_json(text: str, config_class: type[Config], path: Path) -> Config:
+    """Build a frozen dataclass from the JSON text that stands beside the tensors of a file. Raises ConfigError as `load`."""
+    return _build(config_class, _mark(json.loads(text), config_class.__name__), config_class.__name__, path)
 
 
 def scalar(path: Path, key: str) -> Any:

@@ -1,12 +1,12 @@
 """Learn a category's base shape from its photographs (paper 3.1)."""
 
-import json
 from pathlib import Path
 
 from pipeline.config import load, scalar
 from pipeline.datasets.images import load_images
 from pipeline.device import resolve_device
 from pipeline.files import save_tensors, write_json
+from pipeline.networks.scene_generator import scene_texts
 from pipeline.networks.wide_resnet import load_feature_extractor
 from pipeline.training.base_shape import BaseShapeConfig, BaseShapes, learn_base_shape
 from pipeline.training.checkpoint import Checkpoint, restart_key
@@ -52,9 +52,9 @@ def save(shapes: BaseShapes, path: Path) -> None:
         "directions": shapes.sphere.directions,
         "seed_vertices": shapes.vertices,
         "seed_scores": shapes.scores,
-        **shapes.generator,
+        **shapes.generator.state_dict(),
     }
-    save_tensors(path, tensors, {"best_seed": json.dumps(shapes.best)})
+    save_tensors(path, tensors, scene_texts(shapes.generator))
 
 
 if __name__ == "__main__":

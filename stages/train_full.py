@@ -8,6 +8,7 @@ from pipeline.device import resolve_device
 from pipeline.files import save_tensors, write_json
 from pipeline.geometry.camera import pose_to_tensor
 from pipeline.networks.full_model import full_model_texts
+from pipeline.networks.scene_generator import load_scene_generator
 from pipeline.networks.wide_resnet import load_feature_extractor
 from pipeline.training.checkpoint import Checkpoint, restart_key
 from pipeline.training.full import FullTrainer, FullTrainingConfig, load_base, train_full
@@ -20,6 +21,7 @@ def main() -> None:
         __doc__,
         images=Path,
         features=Path,
+        base_shape=Path,
         mesh=Path,
         seed=int,
         checkpoints=Path,
@@ -29,13 +31,14 @@ def main() -> None:
     )
     config = load(arguments.params, FullTrainingConfig, arguments.sections)
     device = resolve_device(scalar(arguments.params, "device"))
-    inputs = [arguments.images, arguments.features, arguments.mesh]
+    inputs = [arguments.images, arguments.features, arguments.base_shape, arguments.mesh]
     checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed))
     trainer, curve = train_full(
         config,
         load_images(arguments.images).to(device),
         load_feature_extractor(arguments.features, device),
         load_base(config, arguments.mesh, device),
+        load_scene_generator(arguments.base_shape, device),
         arguments.seed,
         checkpoint,
     )

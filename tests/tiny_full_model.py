@@ -9,16 +9,20 @@ from torch import Tensor
 from pipeline.geometry.camera import CameraConfig
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
+from pipeline.geometry.symmetry import mirror_index
 from pipeline.losses.smoothness import SmoothnessConfig
 from pipeline.networks.encoders import EncoderConfig
 from pipeline.networks.full_model import FullModel, FullModelConfig, Reconstruction, ShapeConfig
 from pipeline.networks.pose_coordinates import PoseRange
+from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, SceneConfig, SceneGenerator
 from pipeline.networks.wide_resnet import FeatureExtractor, WideResNet
 from pipeline.rendering.renderer import Mesh, RendererConfig
 from pipeline.seeding import generator, initialised
 from pipeline.training.exploration import ExplorationConfig
 from pipeline.training.full import EllipsoidConfig, FullTrainingConfig
 from pipeline.training.full_losses import LossConfig
+from pipeline.training.viewpoints import LightConfig
+from pipeline.training.warm_up import WarmUpConfig
 
 MODEL = FullModelConfig(
     two_stage=True,
@@ -43,6 +47,7 @@ TRAINING = FullTrainingConfig(
     photographs_per_iteration=2.0,
     model=MODEL,
     ellipsoid=EllipsoidConfig((0.5, 0.5, 1.0), 2),
+    warm_up=WarmUpConfig(2, 4, 1e-3, (0.9, 0.99), LightConfig(0.5, 0.5), 0.3, 0.1),
     exploration=ExplorationConfig(1, 2, 3, 2, 1, 1, (0.02, 0.2), (0.02, 0.2), 0.5),
     loss=LossConfig(0.1, 1.0, 1.0, 1.0, 1.0, 0.1, 0.1, SmoothnessConfig(1.0, 0.0, 0.0, 0.01, 0.0, 0.0)),
     discriminator_width=4,
@@ -87,3 +92,13 @@ def photographs(count: int) -> tuple[UInt8[Tensor, "N 3 32 32"], Float[Tensor, "
         )
     )
     return (pictures.clamp(0, 1) * 255).round().to(torch.uint8), coordinates
+
+
+def tiny_scenes() -> SceneGenerator:
+    """Build untrained generators of textures and backgrounds."""
+    directions, _ = icosphere(1)
+    generator = GeneratorConfig(8, 8, 1.0, 4, 8, 8, mirror_texture=True)
+    constraints = ConstraintConfig(smoothness=True, symmetry=True, texture_simplicity=True, background_simplicity=True)
+    with initialised(0):
+        config = SceneConfig(generator, constraints, 2, MODEL.renderer.size)
+        return SceneGenerator(config, directions, mirror_index(directions)).eval()

@@ -1,12 +1,16 @@
 """Noise -> shape, texture and background of a category (paper 3.1, Fig. 4)."""
 
-from dataclasses import dataclass
+import json
+from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from pipeline.config import from_json
+from pipeline.files import load_tensors
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.symmetry import symmetrize
 from pipeline.networks.generators import (
@@ -51,6 +55,21 @@ class ConstraintConfig:
     background_simplicity: bool
 
 
+@dataclass(frozen=True)
+class SceneConfig:
+    """Everything needed to build the generators.
+
+    Attributes:
+        colors: size of the texture palette, N_c.
+        image_size: side of the backgrounds in pixels.
+    """
+
+    generator: GeneratorConfig
+    constraints: ConstraintConfig
+    colors: int
+    image_size: int
+
+
 class Scene(NamedTuple):
     """A batch of generated objects before backgrounds.
 
@@ -72,27 +91,22 @@ class SceneGenerator(nn.Module):
     mirror_index: Int[Tensor, " V"]
 
     def __init__(
-        self,
-        config: GeneratorConfig,
-        constraints: ConstraintConfig,
-        colors: int,
-        image_size: int,
-        initial_vertices: Float[Tensor, "V 3"],
-        mirror_index: Int[Tensor, " V"],
+        self, config: SceneConfig, initial_vertices: Float[Tensor, "V 3"], mirror_index: Int[Tensor, " V"]
     ) -> None:
+        """Start from an ellipsoid; `mirror_index` names each vertex's mirror image."""
         super().__init__()
-        self.symmetry = constraints.symmetry
-        self.latent_size = config.latent_size
-        self.register_buffer("initial_vertices", initial_vertices, persistent=False)
-        self.register_buffer("mirror_index", mirror_index, persistent=False)
-        self.shape = ShapeGenerator(config.latent_size, config.shape_hidden, len(initial_vertices), config.offset_scale)
-        self.texture = _texture_generator(config, constraints, colors)
-        self.background = _background_generator(config, constraints, image_size)
+        sizes = config.generator
+        self.config = config
+        self.register_buffer("initial_vertices", initial_vertices)
+        self.register_buffer("mirror_index", mirror_index)
+        self.shape = ShapeGenerator(sizes.latent_size, sizes.shape_hidden, len(initial_vertices), sizes.offset_scale)
+        self.texture = _texture_generator(config)
+        self.background = _background_generator(config)
 
     def vertices(self, noise: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
         """Return the shapes alone."""
         offsets = self.shape(noise)
-        if self.symmetry:
+        if self.config.constraints.symmetry:
             offsets = symmetrize(offsets, self.mirror_index)
         return fit_unit_cube(self.initial_vertices + offsets)
 
@@ -102,18 +116,34 @@ class SceneGenerator(nn.Module):
 
     def sample_noise(self, count: int, rng: torch.Generator) -> Float[Tensor, "B K"]:
         """Draw standard normal noise."""
-        return torch.randn(count, self.latent_size, generator=rng, device=rng.device)
+        return torch.randn(count, self.config.generator.latent_size, generator=rng, device=rng.device)
 
 
-def _texture_generator(config: GeneratorConfig, constraints: ConstraintConfig, colors: int) -> nn.Module:
-    if constraints.texture_simplicity:
+def scene_texts(generator: SceneGenerator) -> dict[str, str]:
+    """Return what has to stand beside the weights in a file to build the generators again."""
+    return {"scene": json.dumps(asdict(generator.config), sort_keys=True)}
+
+
+def load_scene_generator(path: Path, device: torch.device) -> SceneGenerator:
+    """Load the generators of the chosen base shape, in evaluation mode."""
+    tensors, texts = load_tensors(path)
+    config = from_json(texts["scene"], SceneConfig, path)
+    generator = SceneGenerator(config, tensors["initial_vertices"], tensors["mirror_index"])
+    generator.load_state_dict({name: tensors[name] for name in generator.state_dict()})
+    return generator.to(device).eval()
+
+
+def _texture_generator(config: SceneConfig) -> nn.Module:
+    sizes = config.generator
+    if config.constraints.texture_simplicity:
         return PaletteTextureGenerator(
-            config.latent_size, config.texture_channels, config.texture_size, colors, config.mirror_texture
+            sizes.latent_size, sizes.texture_channels, sizes.texture_size, config.colors, sizes.mirror_texture
         )
-    return TextureGenerator(config.latent_size, config.texture_channels, config.texture_size, config.mirror_texture)
+    return TextureGenerator(sizes.latent_size, sizes.texture_channels, sizes.texture_size, sizes.mirror_texture)
 
 
-def _background_generator(config: GeneratorConfig, constraints: ConstraintConfig, image_size: int) -> nn.Module:
-    if constraints.background_simplicity:
-        return StripesGenerator(config.latent_size, config.background_hidden, image_size)
-    return ImageBackgroundGenerator(config.latent_size, config.texture_channels, image_size)
+def _background_generator(config: SceneConfig) -> nn.Module:
+    sizes = config.generator
+    if config.constraints.background_simplicity:
+        return StripesGenerator(sizes.latent_size, sizes.background_hidden, config.image_size)
+    return ImageBackgroundGenerator(sizes.latent_size, sizes.texture_channels, config.image_size)

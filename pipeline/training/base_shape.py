@@ -16,7 +16,7 @@ from pipeline.geometry.topology import Topology, topology_of
 from pipeline.losses.chamfer import chamfer
 from pipeline.losses.feature_matching import feature_matching
 from pipeline.losses.smoothness import SmoothnessConfig, smoothness
-from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, Scene, SceneGenerator
+from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, Scene, SceneConfig, SceneGenerator
 from pipeline.networks.wide_resnet import FeatureExtractor, extract
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 from pipeline.seeding import generator, initialised
@@ -81,7 +81,7 @@ class BaseShapes(NamedTuple):
         vertices: one shape a seed, in the unit cube.
         scores: label-free score of each seed; lower is better.
         best: index of the seed with the lowest score.
-        generator: weights of the best seed's generators.
+        generator: the best seed's generators.
         curve: losses of all seeds.
     """
 
@@ -89,7 +89,7 @@ class BaseShapes(NamedTuple):
     vertices: Float[Tensor, "K V 3"]
     scores: Float[Tensor, " K"]
     best: int
-    generator: dict[str, Tensor]
+    generator: SceneGenerator
     curve: Curve
 
 
@@ -121,10 +121,7 @@ class SeedTrainer:
         dimensions = torch.tensor(config.initial_dimensions, device=device)
         with initialised(seed, "base_shape", index):
             self.scene = SceneGenerator(
-                config.generator,
-                config.constraints,
-                config.colors,
-                config.renderer.size,
+                SceneConfig(config.generator, config.constraints, config.colors, config.renderer.size),
                 fit_unit_cube((sphere.directions * dimensions)[None])[0],
                 sphere.mirror,
             ).to(device)
@@ -202,15 +199,15 @@ def learn_base_shape(
     """
     sphere = build_sphere(config.subdivisions, next(extractor.parameters()).device)
     photographs = Photographs([layer.half() for layer in extract(extractor, images, config.batch_size)])
-    curve, shapes, scores, weights = Curve(), [], [], []
+    curve, shapes, scores, scenes = Curve(), [], [], []
     for index in range(config.seeds):
         trainer = SeedTrainer(config, sphere, photographs, extractor, seed, index)
         _train(trainer, curve, Checkpoint(checkpoints / str(index), key))
         shapes.append(trainer.shape())
         scores.append(trainer.score())
-        weights.append({name: value.clone() for name, value in trainer.scene.state_dict().items()})
+        scenes.append(trainer.scene)
     best = min(range(config.seeds), key=scores.__getitem__)
-    return BaseShapes(sphere, torch.stack(shapes), torch.tensor(scores), best, weights[best], curve)
+    return BaseShapes(sphere, torch.stack(shapes), torch.tensor(scores), best, scenes[best], curve)
 
 
 def _train(trainer: SeedTrainer, curve: Curve, checkpoint: Checkpoint) -> None:

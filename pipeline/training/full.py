@@ -16,6 +16,7 @@ from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.networks.discriminator import ViewDiscriminator
 from pipeline.networks.full_model import FullModel, FullModelConfig
 from pipeline.networks.pose_coordinates import POSE_COORDINATES
+from pipeline.networks.scene_generator import SceneGenerator
 from pipeline.networks.wide_resnet import FeatureExtractor, extract
 from pipeline.rendering.renderer import Mesh
 from pipeline.seeding import generator, initialised
@@ -23,6 +24,7 @@ from pipeline.training.checkpoint import Checkpoint, Part, pack, require_finite,
 from pipeline.training.curves import Curve
 from pipeline.training.exploration import Estimate, ExplorationConfig, explore, first_record
 from pipeline.training.full_losses import FullLoss, LossConfig
+from pipeline.training.warm_up import WarmUpConfig, warm_up
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,8 @@ class FullTrainingConfig:
     """Iteration i draws from the first i times this many photographs; the paper's curriculum has 1."""
     model: FullModelConfig
     ellipsoid: EllipsoidConfig
+    warm_up: WarmUpConfig
+    """Of two-stage training alone: there is nothing to warm up on without a base shape."""
     exploration: ExplorationConfig
     loss: LossConfig
     discriminator_width: int
@@ -166,12 +170,13 @@ def train_full(
     images: UInt8[Tensor, "N 3 H W"],
     extractor: FeatureExtractor,
     base: Mesh,
+    scenes: SceneGenerator,
     seed: int,
     checkpoint: Checkpoint,
 ) -> tuple[FullTrainer, Curve]:
     """Train the full model, going on from the checkpoint where there is one.
 
-    Raises TrainingDiverged when the loss is no longer finite.
+    `scenes` are the base shape's generators, for the warm-up. Raises TrainingDiverged when the loss is no longer finite.
     """
     photographs = Photographs(images, extract(extractor, images, config.batch_size))
     trainer = FullTrainer(config, photographs, extractor, base, seed)
@@ -180,6 +185,9 @@ def train_full(
         tensors, values = restored
         unpack(tensors, **trainer.parts())
         curve, recent, first = Curve(values["rows"]), values["recent"], values["iteration"]
+    elif config.model.two_stage:
+        warm_up(trainer.model, scenes, config.warm_up, trainer.rng)
+        checkpoint.save(pack(**trainer.parts()), {"iteration": 0, "rows": [], "recent": []})
     steps = range(first, config.iterations)
     for iteration in tqdm(steps, "full training", initial=first, total=config.iterations, disable=None):
         recent.append(trainer.step(iteration))

@@ -83,7 +83,8 @@ def test_a_killed_run_resumes_to_the_same_bytes(
     assert torch.equal(resumed.vertices, whole.vertices)
     assert torch.equal(resumed.scores, whole.scores)
     assert resumed.curve.rows == whole.curve.rows
-    assert all(torch.equal(resumed.generator[name], value) for name, value in whole.generator.items())
+    weights = resumed.generator.state_dict()
+    assert all(torch.equal(weights[name], value) for name, value in whole.generator.state_dict().items())
 
 
 def test_seeds_differ_and_the_lowest_score_wins(

@@ -13,15 +13,15 @@ from pipeline.networks.wide_resnet import extract
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.fine_tune import FineTuneConfig, PhaseConfig, fine_tune
 from pipeline.training.full import FullTrainer, FullTrainingConfig, Photographs, train_full
-from tests.tiny_full_model import MODEL, TRAINING, base_mesh, photographs, tiny_extractor, tiny_model
+from tests.tiny_full_model import MODEL, TRAINING, base_mesh, photographs, tiny_extractor, tiny_model, tiny_scenes
 
 SINGLE_STAGE = replace(TRAINING, model=replace(MODEL, two_stage=False))
-FINE_TUNING = FineTuneConfig(None, 3, (0.5, 0.99), PhaseConfig(4, 0.05), PhaseConfig(6, 0.02), PhaseConfig(6, 0.02))
+FINE_TUNING = FineTuneConfig(None, 3, (0.5, 0.99), 3, PhaseConfig(4, 0.05), PhaseConfig(6, 0.02), PhaseConfig(6, 0.02))
 
 
 def train(config: FullTrainingConfig, folder: Path, count: int = 8) -> FullTrainer:
     images, _ = photographs(count)
-    trainer, curve = train_full(config, images, tiny_extractor(), base_mesh(), 0, Checkpoint(folder, "key"))
+    trainer, curve = train_full(config, images, tiny_extractor(), base_mesh(), tiny_scenes(), 0, Checkpoint(folder, "key"))
     assert [row["iteration"] for row in curve.rows] == list(range(2, config.iterations + 1, 2))
     return trainer
 
@@ -78,7 +78,7 @@ def test_training_finds_poses_and_reconstructs(tmp_path: Path) -> None:
         curve_every=2,
     )
     images, truth = photographs(8)
-    trainer, curve = train_full(config, images, tiny_extractor(), base_mesh(), 0, Checkpoint(tmp_path, "key"))
+    trainer, curve = train_full(config, images, tiny_extractor(), base_mesh(), tiny_scenes(), 0, Checkpoint(tmp_path, "key"))
     first, last = curve.rows[0], curve.rows[-1]
     assert last["reconstruction"] < 0.7 * first["reconstruction"]
     # Up to one turn for all: nothing but the photographs says where the front is.

@@ -46,6 +46,7 @@ TINY: dict[str, Any] = {
         },
         "discriminator_width": 4,
         "curve_every": 1,
+        "warm_up": {"iterations": 2, "batch_size": 4},
         "checkpoint_every": 1,
     },
     "fine_tune": {
