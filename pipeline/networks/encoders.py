@@ -10,6 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 NORMALIZATION_GROUPS = 8
+CODE_NORM = 2.0
 
 
 @dataclass(frozen=True)
@@ -82,14 +83,15 @@ class Encoder(nn.Module):
 
     @torch.no_grad()
     def standardize(self, images: Float[Tensor, "B 3 H W"]) -> None:
-        """Rescale the last layer so that the codes of these images have mean 0 and standard deviation 1 in every entry.
+        """Rescale the last layer so that over these images every entry of the code has mean 0 and the same deviation.
 
-        The decoders then hear from the first step on how photographs differ, and not what they have in common.
+        Codes then have a root mean square norm of `CODE_NORM`, and decoders hear from the first step on how photographs
+        differ and not what they have in common.
         """
         codes = self(images)
-        mean, deviation = codes.mean(dim=0), codes.std(dim=0).clamp(min=1e-6)
-        self.project.weight /= deviation[:, None]
-        self.project.bias.copy_((self.project.bias - mean) / deviation)
+        mean, scale = codes.mean(dim=0), CODE_NORM / len(self.project.bias) ** 0.5 / codes.std(dim=0).clamp(min=1e-6)
+        self.project.weight *= scale[:, None]
+        self.project.bias.copy_((self.project.bias - mean) * scale)
 
 
 def _group(channels_in: int, channels_out: int, blocks: int, stride: int) -> nn.Sequential:

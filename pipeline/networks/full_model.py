@@ -103,7 +103,7 @@ class FullModel(nn.Module):
         self.background_decoder = StripesGenerator(code, hidden, config.renderer.size)
 
     def standardize(self, images: Float[Tensor, "B 3 H W"]) -> None:
-        """Rescale all encoders' codes to mean 0 and standard deviation 1 over these photographs, before training."""
+        """Rescale all encoders' codes to mean 0 and one size over these photographs, before training."""
         for encoder in (self.shape_encoder, self.pose_encoder, self.texture_encoder, self.background_encoder):
             encoder.standardize(images)
 

@@ -99,7 +99,7 @@ def candidates(
             estimate.heads.transpose(0, 1),
             _near(record.pose, config.perturbed_poses, config.pose_step, rng),
             _turned(record.pose, config.turned_poses, rng),
-            _flipped(record.pose, config.flipped_poses),
+            flipped(record.pose, config.flipped_poses),
             model.poses.draw(config.random_poses * batch, rng).unflatten(0, (config.random_poses, batch)),
         ]
     )
@@ -159,6 +159,12 @@ def explore(
     return Best(Record(poses[winner, photograph], shapes[winner, photograph]), lowest, head, winner)
 
 
+def flipped(pose: Float[Tensor, "B 7"], count: int) -> Float[Tensor, "count B 7"]:
+    """Turn poses to the opposite side, swap left and right, swap front and rear: the first `count` of the three."""
+    cosine_and_sine = pose.new_tensor([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])[:count, None]
+    return torch.cat([cosine_and_sine * pose[:, :2], pose[:, 2:].expand(count, -1, -1)], dim=2)
+
+
 def _near(
     recorded: Float[Tensor, "B K"], count: int, step: tuple[float, float], rng: torch.Generator
 ) -> Float[Tensor, "count B K"]:
@@ -174,11 +180,6 @@ def _turned(recorded: Float[Tensor, "B 7"], count: int, rng: torch.Generator) ->
     azimuth = 2 * math.pi * (start + steps) / max(count, 1)
     turn = torch.stack([azimuth.cos(), azimuth.sin()], dim=2)
     return torch.cat([turn, recorded[:, 2:].expand(count, -1, -1)], dim=2)
-
-
-def _flipped(recorded: Float[Tensor, "B 7"], count: int) -> Float[Tensor, "count B 7"]:
-    cosine_and_sine = recorded.new_tensor([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])[:count, None]
-    return torch.cat([cosine_and_sine * recorded[:, :2], recorded[:, 2:].expand(count, -1, -1)], dim=2)
 
 
 def _random_shapes(model: FullModel, batch: int, config: ExplorationConfig, rng: torch.Generator) -> Tensor:

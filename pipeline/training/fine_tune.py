@@ -13,6 +13,7 @@ from pipeline.losses.image_distance import feature_distance
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.networks.wide_resnet import FeatureExtractor, extract
 from pipeline.training.checkpoint import Checkpoint
+from pipeline.training.exploration import flipped
 
 Loss = Callable[[Reconstruction], Float[Tensor, " B"]]
 
@@ -34,6 +35,8 @@ class FineTuneConfig:
     """How many photographs, from the first on; null for all."""
     batch_size: int
     betas: tuple[float, float]
+    flipped_poses: int
+    """Flipped views of the student's pose, up to three, that may replace it as the start; so may the ensemble's."""
     background: PhaseConfig
     pose: PhaseConfig
     shape: PhaseConfig
@@ -45,9 +48,11 @@ class Outputs:
     def __init__(self, model: FullModel, images: Float[Tensor, "B 3 H W"]) -> None:
         self.model = model
         with torch.no_grad():
+            pose_code = model.pose_encoder(images)
+            self.heads = model.pose_decoder.ensemble(pose_code)
             self.values = {
                 "background": model.background_encoder(images),
-                "pose": model.pose_decoder(model.pose_encoder(images)),
+                "pose": model.pose_decoder(pose_code),
                 "shape": model.shape_decoder(model.shape_encoder(images)),
             }
             self.texture_maps = model.texture_decoder(model.texture_encoder(images))
@@ -59,6 +64,18 @@ class Outputs:
         pose = self.model.poses(self.model.poses.clamp(values["pose"]), vertices)
         backgrounds = self.model.background_decoder(values["background"])
         return Reconstruction(vertices, self.texture_maps, pose, backgrounds)
+
+
+@torch.no_grad()
+def choose_start(outputs: Outputs, loss: Loss, flips: int) -> None:
+    """Replace each photograph's pose by the best, by its loss, of the student's, its flipped views and the ensemble's.
+
+    Descent cannot turn an object round; the regressors of the ensemble stand for the different answers.
+    """
+    student = outputs.values["pose"]
+    starts = torch.cat([student[None], flipped(student, flips), outputs.heads.transpose(0, 1)])
+    losses = torch.stack([loss(outputs.reconstruct(pose=start)) for start in starts])
+    outputs.values["pose"] = starts[losses.argmin(dim=0), torch.arange(len(student), device=student.device)]
 
 
 def tune(outputs: Outputs, name: str, loss: Loss, phase: PhaseConfig, betas: tuple[float, float]) -> None:
@@ -117,6 +134,7 @@ def _fine_tune_batch(
 
     outputs = Outputs(model, images.float() / 255)
     results = _describe(outputs, loss, "predicted")
+    choose_start(outputs, loss, config.flipped_poses)
     for name, phase in (("background", config.background), ("pose", config.pose), ("shape", config.shape)):
         tune(outputs, name, loss, phase, config.betas)
     return results | _describe(outputs, loss, "tuned") | {"textures": outputs.texture_maps.cpu()}

@@ -21,7 +21,9 @@ FINE_TUNING = FineTuneConfig(None, 3, (0.5, 0.99), 3, PhaseConfig(4, 0.05), Phas
 
 def train(config: FullTrainingConfig, folder: Path, count: int = 8) -> FullTrainer:
     images, _ = photographs(count)
-    trainer, curve = train_full(config, images, tiny_extractor(), base_mesh(), tiny_scenes(), 0, Checkpoint(folder, "key"))
+    trainer, curve = train_full(
+        config, images, tiny_extractor(), base_mesh(), tiny_scenes(), 0, Checkpoint(folder, "key")
+    )
     assert [row["iteration"] for row in curve.rows] == list(range(2, config.iterations + 1, 2))
     return trainer
 
@@ -78,7 +80,9 @@ def test_training_finds_poses_and_reconstructs(tmp_path: Path) -> None:
         curve_every=2,
     )
     images, truth = photographs(8)
-    trainer, curve = train_full(config, images, tiny_extractor(), base_mesh(), tiny_scenes(), 0, Checkpoint(tmp_path, "key"))
+    trainer, curve = train_full(
+        config, images, tiny_extractor(), base_mesh(), tiny_scenes(), 0, Checkpoint(tmp_path, "key")
+    )
     first, last = curve.rows[0], curve.rows[-1]
     assert last["reconstruction"] < 0.7 * first["reconstruction"]
     # Up to one turn for all: nothing but the photographs says where the front is.
@@ -87,7 +91,7 @@ def test_training_finds_poses_and_reconstructs(tmp_path: Path) -> None:
     assert (errors > 0.85).float().mean(dim=0).amax() >= 0.75
 
 
-def test_fine_tuning_never_loses_and_resumes_to_the_same_bytes(tmp_path: Path) -> None:
+def test_fine_tuning_lowers_every_distance_and_resumes_to_the_same_bytes(tmp_path: Path) -> None:
     images, _ = photographs(6)
     model, extractor = tiny_model().eval(), tiny_extractor()
     whole = fine_tune(FINE_TUNING, images, model, extractor, Checkpoint(tmp_path / "whole", "key"))
@@ -96,8 +100,8 @@ def test_fine_tuning_never_loses_and_resumes_to_the_same_bytes(tmp_path: Path) -
     assert all(torch.equal(whole[name], halves[name]) for name in whole)
     assert whole["test_index"].tolist() == [0, 1, 2, 3, 4, 5]
     before, after = whole["feature_distance_predicted"], whole["feature_distance_tuned"]
-    assert (after <= before).all()
-    assert after.mean() < 0.95 * before.mean()
+    assert (after < before).all()
+    assert after.mean() < 0.97 * before.mean()
 
 
 def test_fine_tuning_moves_only_background_pose_and_shape(tmp_path: Path) -> None:
