@@ -4,11 +4,15 @@ import json
 import signal
 import subprocess
 import time
+from argparse import Namespace
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
+from pipeline.files import read_json
+from stages.run_row import turn_on
 from tests.smoke.tiny_project import commands, environment, make_tiny_project, read_params, run, write_params
 
 pytestmark = pytest.mark.slow
@@ -108,3 +112,17 @@ def test_a_misspelt_number_is_one_sentence_and_nothing_is_written(project: Path,
     assert finished.stderr.count("\n") == 1
     assert "unknown key 'remesh.targt'" in finished.stderr
     assert list(tmp_path.iterdir()) == [tmp_path / "params.yaml"]
+
+
+def test_own_photographs_take_one_command(project: Path, tmp_path: Path) -> None:
+    for number in range(12):
+        split, category = ("train", "test")[number % 2], ("cart", "stall")[number // 6]
+        path = tmp_path / "pictures" / split / category / f"{number}.png"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.new("RGB", (40, 32), (number, 0, 0)).save(path)
+    options = {"size": "laptop", "ablation": "none", "seed": 0, "dataset": "market", "category": "cart"}
+    options |= {"row": "cifar10-automobile", "source": tmp_path / "pictures"}
+    assert turn_on(project / "params.yaml", Namespace(**options)) == "market-cart"
+    assert _stages_run(run(project, "dvc", "repro", "prepare_data@market")) == ["prepare_data"]
+    assert read_json(project / "data/prepared/market/index.json")["categories"] == ["cart", "stall"]
+    assert "report@market-cart" in run(project, "dvc", "stage", "list", "--name-only").split()
