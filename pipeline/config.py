@@ -44,7 +44,7 @@ def load(path: Path, config_class: type[Config], sections: Sequence[str]) -> Con
 
 
 def from_json(text: str, config_class: type[Config], path: Path) -> Config:
-    """Build a frozen dataclass from the JSON text that stands beside the tensors of a file. Raises ConfigError as `load`."""
+    """Build a frozen dataclass from the JSON text beside the tensors of a file; errors as in `load`."""
     return _build(config_class, _mark(json.loads(text), config_class.__name__), config_class.__name__, path)
 
 

@@ -1,4 +1,4 @@
-"""Cutting a mirror-symmetric mesh at the plane x = 0 and putting it together again."""
+"""Cutting closed meshes in two disks, and putting mirror images together."""
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -42,17 +42,12 @@ def join_halves(
 
     The first W vertices and H faces of the result are the disk's; the result is symmetric to the last bit.
     """
-    on_border = border_mask(faces)
-    vertices = flatten_border(vertices, on_border)
+    on_border = border_mask(faces, len(vertices))
+    x, rest = vertices.split([1, 2], dim=1)
+    vertices = torch.cat([x.masked_fill(on_border[:, None], 0), rest], dim=1)
     partner = torch.arange(len(vertices))
     partner[~on_border] = len(vertices) + torch.arange(int((~on_border).sum()))
     return torch.cat([vertices, reflect(vertices[~on_border])]), torch.cat([faces, partner[faces].flip(1)])
-
-
-def flatten_border(vertices: Float[Tensor, "W 3"], on_border: Bool[Tensor, " W"]) -> Float[Tensor, "W 3"]:
-    """Move border vertices onto the plane x = 0."""
-    x, rest = vertices.split([1, 2], dim=1)
-    return torch.cat([x.masked_fill(on_border[:, None], 0), rest], dim=1)
 
 
 def border_edges(faces: Int[Tensor, "H 3"]) -> Int[Tensor, "N 2"]:
@@ -63,9 +58,9 @@ def border_edges(faces: Int[Tensor, "H 3"]) -> Int[Tensor, "N 2"]:
     return torch.stack([start[alone], end[alone]], dim=1)
 
 
-def border_mask(faces: Int[Tensor, "H 3"]) -> Bool[Tensor, " W"]:
+def border_mask(faces: Int[Tensor, "H 3"], vertex_count: int) -> Bool[Tensor, " W"]:
     """Tell which vertices lie on the border of a disk."""
-    mask = torch.zeros(int(faces.max()) + 1, dtype=torch.bool)
+    mask = torch.zeros(vertex_count, dtype=torch.bool)
     mask[border_edges(faces)] = True
     return mask
 
@@ -90,10 +85,10 @@ def split_chords(
 ) -> tuple[Float[Tensor, "vertices 3"], Int[Tensor, "faces 3"]]:
     """Split every inner edge between two border vertices of a disk in its middle.
 
-    Such an edge would coincide with its mirror image once the halves are joined.
+    Such an edge would coincide with its mirror image once halves are joined, and its faces could lie on the border alone.
     """
     while True:
-        on_border = border_mask(faces)
+        on_border = border_mask(faces, len(vertices))
         start, end = faces.flatten(), faces.roll(-1, dims=1).flatten()
         border_key = border_edges(faces) @ torch.tensor([len(vertices), 1])
         chord = on_border[start] & on_border[end] & ~torch.isin(start * len(vertices) + end, border_key)
@@ -105,3 +100,22 @@ def split_chords(
         halves = [torch.where(faces[beside] == replaced, middle, faces[beside]) for replaced in ends]
         vertices = torch.cat([vertices, vertices[ends].mean(dim=0, keepdim=True)])
         faces = torch.cat([faces[~beside], *halves])
+
+
+def divide(
+    vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], directions: Float[Tensor, "V 3"]
+) -> Bool[Tensor, " F"]:
+    """Tell which faces of a closed mesh form the disk around +x; the others form the one around -x.
+
+    A face goes by the mean x of its directions, then islands and pinched places are given to the side around them.
+    """
+    positive = directions[faces].sum(dim=1)[:, 0] >= 0
+    neighbours = topology_of(faces).edge_faces
+    while True:
+        for keep in (True, False):
+            positive = torch.where(_largest_part(positive == keep, neighbours), keep, ~torch.tensor(keep)) if keep else ~_largest_part(~positive, neighbours)
+        counts = torch.bincount(border_edges(faces[positive]).flatten(), minlength=len(vertices))
+        pinched = counts > 2
+        if not pinched.any():
+            return positive
+        positive = positive | pinched[faces].any(dim=1)

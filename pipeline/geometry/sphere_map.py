@@ -1,14 +1,13 @@
-"""One-to-one maps from a mirror-symmetric surface of genus 0 to the unit sphere, the domain of textures."""
+"""One-to-one maps from surfaces of genus 0 to the unit sphere, the domain of textures."""
 
 import math
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from pipeline.errors import MeshError
-from pipeline.geometry.halves import border_loop, border_mask, flatten_border
 from pipeline.geometry.topology import polygon_areas
 
 # Areas vanish below single precision in the first embedding of a long limb; their logarithms must not.
@@ -25,25 +24,30 @@ class SphereMapConfig:
     """Power of the area ratio by which springs are stiffened in an iteration: 0 leaves a plain Tutte embedding."""
 
 
-def map_half_to_hemisphere(
-    vertices: Float[Tensor, "W 3"], faces: Int[Tensor, "H 3"], config: SphereMapConfig
-) -> Float[Tensor, "W 3"]:
-    """Map a disk with its border on the plane x = 0 one-to-one to the hemisphere x >= 0.
+def map_to_sphere(
+    vertices: Float[Tensor, "V 3"],
+    faces: Int[Tensor, "F 3"],
+    loop: Int[Tensor, " N"],
+    side: Int[Tensor, " V"],
+    config: SphereMapConfig,
+) -> Float[Tensor, "V 3"]:
+    """Map a surface of genus 0 one-to-one to the unit sphere.
 
-    The border goes to the great circle x = 0. Springs along the edges embed the disk in the unit disk, which cannot
-    fold (Tutte 1963), and Lambert's equal-area projection lifts it to the hemisphere. Where the map enlarges the
-    surface the springs are stiffened and the embedding is repeated (after Yoshizawa, Belyaev & Seidel 2004); of all
-    iterations the one that distorts areas least is kept. Last, a turn about the x axis makes directions agree with
-    positions best. Return unit vectors in double precision. Raise MeshError when every embedding has a flipped
-    triangle.
+    The surface is cut in two disks along `loop`, which goes to the great circle x = 0; `side` is 1 for the vertices of
+    the disk that the loop runs around counter-clockwise, seen from outside, -1 for the other disk's and 0 on the loop.
+    Without the other disk the map covers the hemisphere x >= 0. Springs along the edges embed both disks in the unit
+    disk, which cannot fold (Tutte 1963), and Lambert's equal-area projection lifts each to its hemisphere. Where the
+    map enlarges the surface the springs are stiffened and the embedding is repeated (after Yoshizawa, Belyaev & Seidel
+    2004); of all iterations the one that distorts areas least is kept. Last, a turn about the x axis makes directions
+    agree with positions best. Return unit vectors in double precision. Raise MeshError when every embedding has a
+    flipped triangle.
     """
     vertices = vertices.double()
-    loop, on_border = border_loop(faces), border_mask(faces)
     stiffness = _adjacency(faces)
     spacing = (vertices[loop.roll(-1)] - vertices[loop]).norm(dim=1)
     best, least_distortion = None, math.inf
     for _ in range(config.iterations):
-        directions = _lift(_embed(stiffness, spacing, loop, on_border))
+        directions = _lift(_embed(stiffness, spacing, loop), side)
         if (distortion := area_distortion(vertices, faces, directions)) < least_distortion:
             best, least_distortion = directions, distortion
         enlargement = _vertex_enlargement(vertices, faces, directions)
@@ -52,10 +56,8 @@ def map_half_to_hemisphere(
         # A length goes with the root of an area.
         spacing /= (enlargement[loop] * enlargement[loop.roll(-1)]).sqrt() ** (config.correction / 2)
     if best is None:
-        raise MeshError(
-            "every map of the mesh to the sphere folds, expected one that does not: the mesh is too distorted"
-        )
-    return flatten_border(_turn_towards(best, vertices, faces), on_border)
+        raise MeshError("every map of the mesh to the sphere folds, expected one that does not: the mesh is too distorted")
+    return _turn_towards(best, vertices, faces)
 
 
 def solid_angles(directions: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, " F"]:
@@ -90,7 +92,7 @@ def area_distortion(
     return (torch.maximum(ratios, 1 / ratios) * areas / areas.sum()).sum().item()
 
 
-def _adjacency(faces: Int[Tensor, "H 3"]) -> Float[Tensor, "W W"]:
+def _adjacency(faces: Int[Tensor, "F 3"]) -> Float[Tensor, "V V"]:
     vertex_count = int(faces.max()) + 1
     adjacency = torch.zeros(vertex_count, vertex_count, dtype=torch.float64)
     adjacency[faces, faces.roll(-1, dims=1)] = 1
@@ -98,30 +100,27 @@ def _adjacency(faces: Int[Tensor, "H 3"]) -> Float[Tensor, "W W"]:
 
 
 def _embed(
-    stiffness: Float[Tensor, "W W"],
-    spacing: Float[Tensor, " N"],
-    loop: Int[Tensor, " N"],
-    on_border: Bool[Tensor, " W"],
-) -> Float[Tensor, "W 2"]:
-    """Spread the border over the unit circle by the spacing and let springs pull the other vertices between them."""
+    stiffness: Float[Tensor, "V V"], spacing: Float[Tensor, " N"], loop: Int[Tensor, " N"]
+) -> Float[Tensor, "V 2"]:
+    """Spread the loop over the unit circle by the spacing and let springs pull the other vertices between it."""
     turn = 2 * math.pi * (spacing.cumsum(0) - spacing) / spacing.sum()
     positions = stiffness.new_zeros(len(stiffness), 2)
     positions[loop] = torch.stack([turn.cos(), turn.sin()], dim=1)
-    inner = ~on_border
+    inner = torch.ones(len(stiffness), dtype=torch.bool).index_fill(0, loop, False)
     laplacian = stiffness.sum(dim=1).diag() - stiffness
     positions[inner] = torch.linalg.solve(laplacian[inner][:, inner], stiffness[inner] @ positions)
     return positions
 
 
-def _lift(positions: Float[Tensor, "W 2"]) -> Float[Tensor, "W 3"]:
-    """Project the unit disk in y and z to the hemisphere x >= 0, keeping areas (Lambert 1772)."""
+def _lift(positions: Float[Tensor, "V 2"], side: Int[Tensor, " V"]) -> Float[Tensor, "V 3"]:
+    """Project the unit disk in y and z to either hemisphere, keeping areas (Lambert 1772)."""
     squared = positions.square().sum(dim=1, keepdim=True)
-    return torch.cat([1 - squared, positions * (2 - squared).sqrt()], dim=1)
+    return torch.cat([side[:, None] * (1 - squared), positions * (2 - squared).sqrt()], dim=1)
 
 
 def _vertex_enlargement(
-    vertices: Float[Tensor, "W 3"], faces: Int[Tensor, "H 3"], directions: Float[Tensor, "W 3"]
-) -> Float[Tensor, " W"]:
+    vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], directions: Float[Tensor, "V 3"]
+) -> Float[Tensor, " V"]:
     """Average the area ratio around each vertex, geometrically."""
     logarithms = area_ratios(vertices, faces, directions).clamp(min=SMALLEST_RATIO).log()
     total = logarithms.new_zeros(len(vertices)).index_add(0, faces.flatten(), logarithms.repeat_interleave(3))
@@ -129,8 +128,8 @@ def _vertex_enlargement(
 
 
 def _turn_towards(
-    directions: Float[Tensor, "W 3"], vertices: Float[Tensor, "W 3"], faces: Int[Tensor, "H 3"]
-) -> Float[Tensor, "W 3"]:
+    directions: Float[Tensor, "V 3"], vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]
+) -> Float[Tensor, "V 3"]:
     """Turn directions about the x axis so that they point where the surface is, seen from its centroid."""
     weights = polygon_areas(vertices, faces)
     centers = vertices[faces].mean(dim=1)

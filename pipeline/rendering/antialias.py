@@ -72,11 +72,11 @@ def antialias(
 def _silhouette_edges(vertices_ndc: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], size: int) -> _Edges:
     topology = topology_of(faces)
     faces_out = _seen_from_outside(vertices_ndc.detach(), faces)
-    first_out, second_out = (faces_out[:, topology.edge_faces[:, k]] for k in range(2))
-    picture, edge = (first_out != second_out).nonzero(as_tuple=True)
-    in_front = (vertices_ndc[picture[:, None], topology.edges[edge], 2] >= NEAREST_DEPTH).all(dim=1)
-    picture, edge = picture[in_front], edge[in_front]
-    x, y, depth = vertices_ndc[picture[:, None], topology.edges[edge]].unbind(-1)
+    first_out, second_out = (faces_out.index_select(1, topology.edge_faces[:, k]) for k in range(2))
+    in_front = vertices_ndc[..., 2] >= NEAREST_DEPTH
+    drawn = in_front.index_select(1, topology.edges[:, 0]) & in_front.index_select(1, topology.edges[:, 1])
+    picture, edge = ((first_out != second_out) & drawn).nonzero(as_tuple=True)
+    x, y, depth = _corners(vertices_ndc, picture, topology.edges[edge]).unbind(-1)
     column, row = size / 2 * (1 + x) - 0.5, size / 2 * (1 - y) - 0.5
     rightwards, downwards = (column[:, 1] - column[:, 0]).detach(), (row[:, 1] - row[:, 0]).detach()
     sideways = rightwards.abs() > downwards.abs()
@@ -127,15 +127,23 @@ def _outermost(
     return inside[kept], outside[kept], excess[kept]
 
 
+def _corners(
+    values: Float[Tensor, "B V C"], picture: Int[Tensor, " N"], vertices: Int[Tensor, "N K"]
+) -> Float[Tensor, "N K C"]:
+    """Return what some vertices of some pictures have; one flat index is several times faster than two."""
+    places = (picture * values.shape[1])[:, None] + vertices
+    return values.flatten(0, 1).index_select(0, places.flatten()).view(*places.shape, -1)
+
+
 @torch.no_grad()
 def _depth_at(
     pixels: Int[Tensor, " N"], fragments: Fragments, vertices_ndc: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"]
 ) -> Float[Tensor, " N"]:
     """Return the depth that pixels show, infinite in the background."""
-    face = fragments.face_index.flatten()[pixels]
+    face = fragments.face_index.flatten().index_select(0, pixels)
     picture = pixels // fragments.face_index[0].numel()
-    corners = vertices_ndc[..., 2][picture[:, None], faces[face]]
-    depth = (corners * fragments.barycentric.flatten(0, 2)[pixels]).sum(dim=1)
+    corner_depth = _corners(vertices_ndc[..., 2:], picture, faces.index_select(0, face.clamp(min=0))).squeeze(-1)
+    depth = (corner_depth * fragments.barycentric.flatten(0, 2).index_select(0, pixels)).sum(dim=1)
     return depth.masked_fill(face < 0, torch.inf)
 
 

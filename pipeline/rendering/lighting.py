@@ -20,12 +20,16 @@ class Light(NamedTuple):
 
 def vertex_normals(vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "B V 3"]:
     """Return unit normals at the vertices: the mean of the touching faces' normals weighted by area."""
-    first, second, third = vertices[:, faces].unbind(2)
-    face_normals = torch.linalg.cross(second - first, third - first)
-    normals = torch.zeros_like(vertices)
+    batch, count, _ = vertices.shape
+    rows = vertices.transpose(0, 1).reshape(
+        count, -1
+    )  # one contiguous row a vertex makes gathering several times faster
+    first, second, third = (rows.index_select(0, corner).view(-1, batch, 3) for corner in faces.unbind(1))
+    face_normals = torch.linalg.cross(second - first, third - first).flatten(1)
+    normals = torch.zeros_like(rows)
     for corner in faces.unbind(1):
-        normals = normals.index_add(1, corner, face_normals)
-    return torch.nn.functional.normalize(normals, dim=-1)
+        normals = normals.index_add(0, corner, face_normals)
+    return torch.nn.functional.normalize(normals.view(count, batch, 3).transpose(0, 1), dim=-1)
 
 
 def shade(vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], light: Light) -> Float[Tensor, "B V"]:

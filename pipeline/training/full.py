@@ -176,7 +176,7 @@ def train_full(
 ) -> tuple[FullTrainer, Curve]:
     """Train the full model, going on from the checkpoint where there is one.
 
-    `scenes` are the base shape's generators, for the warm-up. Raises TrainingDiverged when the loss is no longer finite.
+    `scenes` are the base shape's generators, for the warm-up. Raises TrainingDiverged when the loss is not finite.
     """
     photographs = Photographs(images, extract(extractor, images, config.batch_size))
     trainer = FullTrainer(config, photographs, extractor, base, seed)

@@ -1,8 +1,8 @@
 """Warm up the full model on the base shape's own renderings, whose shape, pose and background are known (ours).
 
-Base-shape learning has matched the distribution of such renderings to that of the photographs. A model that has learned
-to read them starts full training with poses near the truth instead of random ones, which the search of paper 3.2.2 would
-have to find while textures still mean nothing.
+Base-shape learning has matched the distribution of such renderings to that of the photographs. A model that has
+learned to read them starts full training with poses near the truth instead of random ones, which the search of paper
+3.2.2 would have to find while textures still mean nothing.
 """
 
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ class Sample(NamedTuple):
 
 
 def warm_up(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: torch.Generator) -> None:
-    """Train every encoder and decoder of the model on renderings; raise TrainingDiverged where the loss is not finite."""
+    """Train every encoder and decoder of the model on renderings. Raises TrainingDiverged as full training does."""
     optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, betas=config.betas)
     for iteration in tqdm(range(config.iterations), "warm-up", disable=None):
         loss = warm_up_loss(model, draw_sample(model, scenes, config, rng))

@@ -9,7 +9,7 @@ import torch
 from pipeline.errors import TrainingDiverged
 from pipeline.geometry.camera import CameraConfig
 from pipeline.losses.smoothness import SmoothnessConfig
-from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig
+from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, Scene
 from pipeline.networks.wide_resnet import FeatureExtractor, WideResNet
 from pipeline.rendering.renderer import RendererConfig
 from pipeline.seeding import generator, initialised
@@ -107,7 +107,7 @@ def test_a_loss_that_is_not_a_number_keeps_the_state_before_it(
     generate = SeedTrainer.generate
     calls = 0
 
-    def broken(trainer: SeedTrainer, count: int):
+    def broken(trainer: SeedTrainer, count: int) -> tuple[Scene, torch.Tensor]:
         nonlocal calls
         calls += 1
         scene, rendered = generate(trainer, count)
@@ -117,7 +117,8 @@ def test_a_loss_that_is_not_a_number_keeps_the_state_before_it(
     with pytest.raises(TrainingDiverged, match="iteration 3"):
         learn(tmp_path, images, extractor, CONFIG)
     state = base_shape.Checkpoint(tmp_path / "0", "key").load()
-    assert state is not None and state[1]["iteration"] == 2
+    assert state is not None
+    assert state[1]["iteration"] == 2
 
 
 def test_the_same_seed_repeats_exactly(images: torch.Tensor, extractor: FeatureExtractor, tmp_path: Path) -> None:

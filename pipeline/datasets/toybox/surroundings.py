@@ -64,11 +64,11 @@ def choose_places(setting: Setting, elevation: Float[np.ndarray, "B"], rng: np.r
         indoors=indoors,
         drop=np.where(airborne, np.exp(rng.uniform(1.0, 4.0, count)), 0.0),
         distance=np.where(airborne, 150.0, distance),
-        ground=np.where(studio[:, None], wall * rng.uniform(0.8, 1.0, (count, 1)), ground),
-        verge=pick(LAND, count, rng),
-        wall=wall,
-        foliage=pick(FOLIAGE, count, rng),
-        sky=pick(SKIES, count, rng),
+        ground=np.where(studio[:, None], wall * rng.uniform(0.8, 1.0, (count, 1)), ground).astype(np.float32),
+        verge=pick(LAND, count, rng).astype(np.float32),
+        wall=wall.astype(np.float32),
+        foliage=pick(FOLIAGE, count, rng).astype(np.float32),
+        sky=pick(SKIES, count, rng).astype(np.float32),
         texture=textures(count, rng),
     )
 
