@@ -3,6 +3,8 @@
 In base-shape learning the latent is noise; in full training it is the output of an encoder.
 """
 
+from itertools import pairwise
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -67,9 +69,7 @@ class ImageGenerator(nn.Module):
         blocks = (size // 4).bit_length() - 1
         widths = [hidden_channels * 2 ** max(blocks - 1 - i, 0) for i in range(blocks + 1)]
         self.start = nn.Linear(latent_size, widths[0] * 16)
-        self.blocks = nn.Sequential(
-            *(ResidualUpsample(before, after, wrap) for before, after in zip(widths[:-1], widths[1:], strict=True))
-        )
+        self.blocks = nn.Sequential(*(ResidualUpsample(before, after, wrap) for before, after in pairwise(widths)))
         self.output = nn.Sequential(
             nn.BatchNorm2d(widths[-1]), nn.ReLU(), nn.Conv2d(widths[-1], out_channels, 3, padding=1)
         )
@@ -151,7 +151,7 @@ class ImageBackgroundGenerator(nn.Module):
 
 
 def _spread(network: nn.Module) -> None:
-    """Initialise for outputs of unit order: PyTorch's default makes them a tenth of that, every picture the same grey."""
+    """Initialise for outputs of unit order; PyTorch's default makes a tenth of that, every picture the same grey."""
     for module in network.modules():
         if isinstance(module, nn.Linear | nn.Conv1d | nn.Conv2d):
             nn.init.kaiming_normal_(module.weight, nonlinearity="relu")

@@ -27,6 +27,7 @@ def test_warm_up_teaches_poses_of_unseen_renderings() -> None:
 
 def test_renderings_stay_in_range_and_differ() -> None:
     images, _, shape = draw_sample(tiny_model(), tiny_scenes(), CONFIG, generator(2))
-    assert images.min() >= 0 and images.max() <= 1
+    assert images.min() >= 0
+    assert images.max() <= 1
     assert images.std(dim=0).mean() > 0.01
     assert shape.std() > 0

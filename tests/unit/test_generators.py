@@ -12,6 +12,7 @@ from pipeline.geometry.symmetry import mirror_index, reflect
 from pipeline.networks.scene_generator import (
     ConstraintConfig,
     GeneratorConfig,
+    Scene,
     SceneConfig,
     SceneGenerator,
     load_scene_generator,
@@ -37,7 +38,7 @@ def build(config: GeneratorConfig = CONFIG, constraints: ConstraintConfig = ALL)
         return SceneGenerator(SceneConfig(config, constraints, 2, 8), vertices, mirror_index(vertices))
 
 
-def scene(model: SceneGenerator):
+def scene(model: SceneGenerator) -> Scene:
     return model(model.sample_noise(6, generator(1)))
 
 
@@ -67,7 +68,8 @@ def test_a_palette_of_one_colour_makes_a_plain_texture() -> None:
 def test_texture_maps_stay_in_range_and_mirror() -> None:
     textures = scene(build()).texture_maps
     assert textures.shape == (6, 3, 16, 16)
-    assert textures.min() >= 0 and textures.max() <= 1
+    assert textures.min() >= 0
+    assert textures.max() <= 1
     assert torch.equal(textures, textures.flip(-1))
 
 

@@ -23,7 +23,8 @@ def test_angles_have_the_moments_of_a_stretched_beta_distribution(concentration:
     angles = sample_angles(AngleConfig(-30.0, 90.0, concentration), COUNT, generator(0))
     degrees = torch.rad2deg(angles)
     variance = 120.0**2 / (4 * (2 * concentration + 1))
-    assert degrees.min() >= -30.0 and degrees.max() <= 90.0
+    assert degrees.min() >= -30.0
+    assert degrees.max() <= 90.0
     assert degrees.mean().item() == pytest.approx(30.0, abs=4 * math.sqrt(variance / COUNT))
     assert degrees.var().item() == pytest.approx(variance, rel=0.03)
 
@@ -33,7 +34,8 @@ def test_viewpoints_look_at_the_centre_without_roll() -> None:
     pose = sample_viewpoints(config, 8, generator(1))
     assert pose.azimuth.max() > math.pi
     assert pose.elevation.max() <= math.radians(30.0)
-    assert not pose.roll.any() and not pose.center.any()
+    assert not pose.roll.any()
+    assert not pose.center.any()
     assert torch.equal(pose.scale, torch.ones(8))
 
 
