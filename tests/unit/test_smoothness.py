@@ -26,15 +26,15 @@ def naive_terms(vertices: Tensor, faces: Tensor) -> tuple[Tensor, Tensor, Tensor
             neighbours[i] |= set(face) - {i}
         a, b, c = vertices[face]
         normals.append(torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=0))
-    norms = [(vertices[i] - vertices[list(near)].mean(dim=0)).norm() for i, near in neighbours.items()]
+    norms = torch.stack([(vertices[i] - vertices[list(near)].mean(dim=0)).norm() for i, near in neighbours.items()])
     pairs = [
         (i, j)
         for i, first in enumerate(faces.tolist())
         for j, second in enumerate(faces.tolist())
         if i < j and len(set(first) & set(second)) == 2
     ]
-    angles = [torch.acos((normals[i] @ normals[j]).clamp(-1, 1)) for i, j in pairs]
-    return sum(norms), sum(n**2 for n in norms), sum(angles), sum(a**2 for a in angles)
+    angles = torch.stack([torch.acos((normals[i] @ normals[j]).clamp(-1, 1)) for i, j in pairs])
+    return norms.sum(), norms.square().sum(), angles.sum(), angles.square().sum()
 
 
 @pytest.fixture
