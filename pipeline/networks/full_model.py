@@ -1,14 +1,15 @@
 """The full model: from a photograph to shape, pose, texture and background (paper section 3.2)."""
 
 import json
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, get_type_hints
+from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from pipeline.config import from_json
 from pipeline.files import load_tensors
 from pipeline.geometry.camera import Pose
 from pipeline.networks.decoders import FreeFormShapes, OffsetShapes, ShapeDecoder
@@ -131,22 +132,8 @@ def full_model_texts(model: FullModel) -> dict[str, str]:
 def load_full_model(path: Path, device: torch.device) -> FullModel:
     """Load a model that `train_full` saved, in evaluation mode."""
     tensors, texts = load_tensors(path)
-    config = _rebuild(FullModelConfig, json.loads(texts["config"]))
+    config = from_json(texts["config"], FullModelConfig, path)
     base = Mesh(tensors["base_vertices"][None], tensors["faces"], tensors["directions"])
     model = FullModel(config, base)
     model.load_state_dict({name: tensors[name] for name in model.state_dict()})
     return model.to(device).eval()
-
-
-def _rebuild(config_class: type[Any], values: dict[str, Any]) -> Any:
-    hints = get_type_hints(config_class)
-    return config_class(
-        **{
-            name: _rebuild(hints[name], value)
-            if is_dataclass(hints[name])
-            else tuple(value)
-            if isinstance(value, list)
-            else value
-            for name, value in values.items()
-        }
-    )
