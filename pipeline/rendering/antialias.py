@@ -71,11 +71,12 @@ def antialias(
 
 def _silhouette_edges(vertices_ndc: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], size: int) -> _Edges:
     topology = topology_of(faces)
-    faces_out = _seen_from_outside(vertices_ndc.detach(), faces)
-    first_out, second_out = (faces_out.index_select(1, topology.edge_faces[:, k]) for k in range(2))
-    in_front = vertices_ndc[..., 2] >= NEAREST_DEPTH
-    drawn = in_front.index_select(1, topology.edges[:, 0]) & in_front.index_select(1, topology.edges[:, 1])
-    picture, edge = ((first_out != second_out) & drawn).nonzero(as_tuple=True)
+    outside = _seen_from_outside(vertices_ndc.detach(), faces)
+    first_outside, second_outside = (outside.index_select(0, topology.edge_faces[:, k]) for k in range(2))
+    behind = vertices_ndc[..., 2].T < NEAREST_DEPTH
+    first_behind, second_behind = (behind.index_select(0, topology.edges[:, k]) for k in range(2))
+    turning = (first_outside != second_outside) & ~(first_behind | second_behind)
+    edge, picture = turning.nonzero(as_tuple=True)
     x, y, depth = _corners(vertices_ndc, picture, topology.edges[edge]).unbind(-1)
     column, row = size / 2 * (1 + x) - 0.5, size / 2 * (1 - y) - 0.5
     rightwards, downwards = (column[:, 1] - column[:, 0]).detach(), (row[:, 1] - row[:, 0]).detach()
@@ -84,13 +85,18 @@ def _silhouette_edges(vertices_ndc: Float[Tensor, "B V 3"], faces: Int[Tensor, "
     start, end = torch.stack((across, along, depth), dim=-1).unbind(1)
     # The first face traverses the edge from start to end, so seen from outside it lies to the left.
     left_is_first = torch.where(sideways, rightwards > 0, downwards < 0)
-    return _Edges(picture, start, end, sideways, left_is_first == first_out[picture, edge])
+    return _Edges(picture, start, end, sideways, left_is_first == first_outside[edge, picture])
 
 
-def _seen_from_outside(vertices_ndc: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"]) -> Bool[Tensor, "B F"]:
-    x, y = (vertices_ndc[..., k].index_select(1, faces.flatten()).unflatten(1, (-1, 3)) for k in range(2))
-    x, y = x[..., 1:] - x[..., :1], y[..., 1:] - y[..., :1]
-    return x[..., 0] * y[..., 1] > y[..., 0] * x[..., 1]
+def _seen_from_outside(vertices_ndc: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"]) -> Bool[Tensor, "F B"]:
+    """Return whether corners run counter-clockwise in the picture."""
+    x, y, _ = vertices_ndc.permute(2, 1, 0).contiguous()
+    first, second, third = faces.unbind(1)
+    (ax, ay), (bx, by) = (
+        (x.index_select(0, end) - x.index_select(0, first), y.index_select(0, end) - y.index_select(0, first))
+        for end in (second, third)
+    )
+    return ax * by > ay * bx
 
 
 def _find_crossings(edges: _Edges, size: int) -> _Crossings:
@@ -132,7 +138,7 @@ def _corners(
 ) -> Float[Tensor, "N K C"]:
     """Return what some vertices of some pictures have; one flat index is several times faster than two."""
     places = (picture * values.shape[1])[:, None] + vertices
-    return values.flatten(0, 1).index_select(0, places.flatten()).view(*places.shape, -1)
+    return values.flatten(0, 1).index_select(0, places.flatten()).view(*places.shape, values.shape[-1])
 
 
 @torch.no_grad()

@@ -38,14 +38,15 @@ def draw_face(
     area = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0])
     if first_row > last_row or first_column > last_column or area == 0.0 or min(nearness) == 0.0:
         return
-    near0, near1, near2 = nearness[0] / area, nearness[1] / area, nearness[2] / area
+    turn = 1.0 if area > 0.0 else -1.0
+    near0, near1, near2 = nearness[0] / abs(area), nearness[1] / abs(area), nearness[2] / abs(area)
     for row in range(int(first_row), int(last_row) + 1):
-        y0, y1, y2 = y[0] - row, y[1] - row, y[2] - row
+        y0, y1, y2 = turn * (y[0] - row), turn * (y[1] - row), turn * (y[2] - row)
         for column in range(int(first_column), int(last_column) + 1):
             x0, x1, x2 = x[0] - column, x[1] - column, x[2] - column
             weight0, weight1, weight2 = x1 * y2 - y1 * x2, x2 * y0 - y2 * x0, x0 * y1 - y0 * x1
             # One comparison instead of three: mispredicted branches are what this loop spends its time on.
-            if min(weight0 * area, weight1 * area, weight2 * area) >= 0.0:
+            if min(weight0, weight1, weight2) >= 0.0:
                 near = weight0 * near0 + weight1 * near1 + weight2 * near2
                 if near > nearest[row, column]:
                     nearest[row, column] = near
