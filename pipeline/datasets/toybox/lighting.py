@@ -33,12 +33,12 @@ class Lighting(NamedTuple):
     @property
     def on_ground(self) -> Float[np.ndarray, "B"]:
         """Light that falls on level ground."""
-        return self.ambient * 1.2 + self.strength * self.sun[:, 1]
+        return (self.ambient * 1.2 + self.strength * self.sun[:, 1]).astype(np.float32)
 
     @property
     def shadow(self) -> Float[np.ndarray, "B"]:
         """Share of that light which an object keeps away."""
-        return 0.35 + 0.55 * self.strength * self.sun[:, 1] / self.on_ground
+        return (0.35 + 0.55 * self.strength * self.sun[:, 1] / self.on_ground).astype(np.float32)
 
 
 def choose_lighting(place: Place, rng: np.random.Generator) -> Lighting:
