@@ -24,16 +24,16 @@ from stages.command_line import parse, run
 
 def main() -> None:
     """Train on every category of the data set; write the weights, the accuracy they reach and the curve."""
-    paths = dict.fromkeys(["images", "test_images", "checkpoints", "out", "metrics", "curve"], Path)
+    paths = dict.fromkeys(["images", "test_images", "initial", "checkpoints", "out", "metrics", "curve"], Path)
     arguments = parse(__doc__, **paths, seed=int)
     config = load(arguments.params, FeaturesConfig, arguments.sections)
     device = resolve_device(scalar(arguments.params, "device"))
     categories = list_categories(arguments.images)
     train = load_pictures(arguments.images, categories, device)
     test = load_pictures(arguments.test_images, categories, device)
-    inputs = [arguments.images, arguments.test_images]
+    inputs = [arguments.images, arguments.test_images, arguments.initial]
     checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed))
-    network, curve = train_features(config, train, test, arguments.seed, checkpoint)
+    network, curve = train_features(config, train, test, arguments.initial, arguments.seed, checkpoint)
     metadata = {"categories": " ".join(categories), "method": config.method}
     save_feature_extractor(arguments.out, network, config.color_weight, metadata)
     curve.write(arguments.curve)

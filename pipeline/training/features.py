@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from pipeline.datasets.images import load_images
 from pipeline.errors import ConfigError, DataError
-from pipeline.networks.wide_resnet import WideResNet
+from pipeline.networks.wide_resnet import WideResNet, load_wide_resnet
 from pipeline.seeding import generator, initialised
 from pipeline.training.augmentation import crop_and_mirror, to_float, turn
 from pipeline.training.checkpoint import Checkpoint, pack, require_finite, unpack
@@ -24,9 +24,9 @@ from pipeline.training.curves import Curve
 class FeaturesConfig:
     """Say which network learns what, and how fast."""
 
-    method: Literal["classification", "rotation"]
-    """Tell the data set's categories apart, or (self-supervised, no label at all) by how many right angles a picture
-    was turned (Gidaris et al., 2018)."""
+    method: Literal["classification", "rotation", "transfer"]
+    """Tell the data set's categories apart; or (self-supervised, no label at all) by how many right angles a picture was
+    turned (Gidaris et al., 2018); or keep the features of given weights and learn only to tell the categories apart."""
     depth: int
     """Layers of the wide residual network: 6 N + 4."""
     width: int
@@ -76,14 +76,14 @@ def load_pictures(folder: Path, categories: Sequence[str], device: torch.device)
 class FeatureTrainer:
     """Hold everything that changes while a network is trained."""
 
-    def __init__(self, config: FeaturesConfig, train: Pictures, seed: int) -> None:
-        """Build the network, on the pictures' device, and its optimizer."""
+    def __init__(self, config: FeaturesConfig, train: Pictures, initial: Path, seed: int) -> None:
+        """Build the network, on the pictures' device, and its optimizer; `initial` are the weights for `transfer`."""
         device = train.images.device
         self.config, self.train, self.seed = config, train, seed
         self.batch_size = min(config.batch_size, len(train.images))
         self.iterations_per_epoch = len(train.images) // self.batch_size
         self.iterations = config.epochs * self.iterations_per_epoch
-        self.network = _build_network(config, train, seed).to(device)
+        self.network = _build_network(config, train, initial, seed).to(device)
         self.optimizer = _build_optimizer(config, self.network)
         self.rng = generator(seed, "features", "augmentation", device=device)
         self.loss_sum = torch.zeros((), device=device)
@@ -98,7 +98,7 @@ class FeatureTrainer:
         order = torch.randperm(len(self.train.images), generator=generator(self.seed, "features", "order", epoch))
         index = order[position * self.batch_size : (position + 1) * self.batch_size].to(self.rng.device)
         images = crop_and_mirror(self.train.images, index, self.config.crop_margin, self.rng)
-        if self.config.method == "classification":
+        if self.config.method != "rotation":
             return Pictures(images, self.train.labels[index])
         quarters = torch.randint(4, (len(index),), generator=self.rng, device=self.rng.device)
         return Pictures(turn(images, quarters), quarters)
@@ -110,7 +110,7 @@ class FeatureTrainer:
             group["lr"] = rate
         images, labels = self.batch(iteration)
         with _precision(images.device, self.config):
-            scores = self.network.train()(to_float(images))
+            scores = self.network.train(self.config.method != "transfer")(to_float(images))
             loss = functional.cross_entropy(scores, labels, label_smoothing=self.config.label_smoothing)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -119,13 +119,13 @@ class FeatureTrainer:
 
 
 def train_features(
-    config: FeaturesConfig, train: Pictures, test: Pictures, seed: int, checkpoint: Checkpoint
+    config: FeaturesConfig, train: Pictures, test: Pictures, initial: Path, seed: int, checkpoint: Checkpoint
 ) -> tuple[WideResNet, Curve]:
     """Train a network and return it with one row an epoch: learning rate, mean loss, test accuracy.
 
     A killed call that is repeated with the same checkpoint returns the same bytes (CPU). Raises TrainingDiverged.
     """
-    trainer, curve, first = FeatureTrainer(config, train, seed), Curve(), 0
+    trainer, curve, first = FeatureTrainer(config, train, initial, seed), Curve(), 0
     if (restored := checkpoint.load()) is not None:
         tensors, values = restored
         unpack(tensors, **trainer.parts())
@@ -179,12 +179,14 @@ def _precision(device: torch.device, config: FeaturesConfig) -> torch.autocast:
     return torch.autocast(device.type, torch.bfloat16, enabled=config.precision == "bfloat16")
 
 
-def _build_network(config: FeaturesConfig, train: Pictures, seed: int) -> WideResNet:
+def _build_network(config: FeaturesConfig, train: Pictures, initial: Path, seed: int) -> WideResNet:
     classes = 4 if config.method == "rotation" else int(train.labels.max()) + 1
+    if config.method == "transfer":
+        return _with_new_classifier(load_wide_resnet(initial, torch.device("cpu")), classes, config, seed)
     if classes < 2:
         raise ConfigError(
-            "train_features.method is classification but the data set has one category; set it to rotation, "
-            "which needs no categories"
+            "train_features.method is classification but the data set has one category; set it to rotation or transfer, "
+            "which need no categories"
         )
     with initialised(seed, "features", "network"):
         network = WideResNet(config.depth, config.width, classes)
@@ -194,8 +196,22 @@ def _build_network(config: FeaturesConfig, train: Pictures, seed: int) -> WideRe
     return network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
 
 
+def _with_new_classifier(network: WideResNet, classes: int, config: FeaturesConfig, seed: int) -> WideResNet:
+    if (network.depth, network.width) != (config.depth, config.width):
+        raise ConfigError(
+            f"train_features.depth and .width are {config.depth} and {config.width}, but the weights to transfer are of a "
+            f"WRN-{network.depth}-{network.width}; set depth and width to those"
+        )
+    with initialised(seed, "features", "network"):
+        classifier = nn.Linear(network.classifier.in_features, classes)
+    network.requires_grad_(False).classifier = classifier
+    network.classes = classes
+    return network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+
+
 def _build_optimizer(config: FeaturesConfig, network: WideResNet) -> torch.optim.SGD:
-    decayed = [parameter for parameter in network.parameters() if parameter.ndim > 1]
-    free = [parameter for parameter in network.parameters() if parameter.ndim == 1]
+    learned = [parameter for parameter in network.parameters() if parameter.requires_grad]
+    decayed = [parameter for parameter in learned if parameter.ndim > 1]
+    free = [parameter for parameter in learned if parameter.ndim == 1]
     groups = [{"params": decayed, "weight_decay": config.weight_decay}, {"params": free, "weight_decay": 0.0}]
     return torch.optim.SGD(groups, lr=config.learning_rate, momentum=config.momentum, nesterov=True)

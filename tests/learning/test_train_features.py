@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from pipeline.errors import ConfigError, DataError, TrainingDiverged
-from pipeline.networks.wide_resnet import save_feature_extractor
+from pipeline.networks.wide_resnet import WideResNet, load_wide_resnet, save_feature_extractor
 from pipeline.seeding import generator
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.features import (
@@ -22,6 +22,7 @@ from pipeline.training.features import (
     trials,
 )
 
+NO_WEIGHTS = Path("none.safetensors")
 CONFIG = FeaturesConfig(
     method="classification",
     depth=10,
@@ -56,7 +57,7 @@ def bars(count: int, seed: int) -> Pictures:
 @pytest.mark.parametrize("method", ["classification", "rotation"])
 def test_a_small_network_learns_the_task(method: str, tmp_path: Path) -> None:
     config = replace(CONFIG, method=method)
-    network, curve = train_features(config, bars(192, 0), bars(64, 1), 0, Checkpoint(tmp_path, "key"))
+    network, curve = train_features(config, bars(192, 0), bars(64, 1), NO_WEIGHTS, 0, Checkpoint(tmp_path, "key"))
     assert accuracy(network, bars(64, 1), config) > 0.9
     assert [row["iteration"] for row in curve.rows] == [12, 24, 36, 48, 60, 72]
     assert curve.rows[-1]["test_accuracy"] == pytest.approx(accuracy(network, bars(64, 1), config), abs=1e-6)
@@ -72,7 +73,7 @@ def test_a_killed_training_ends_with_the_same_bytes(tmp_path: Path, monkeypatch:
     train, test = bars(80, 0), bars(16, 1)
 
     def finish(name: str) -> tuple[bytes, list[dict[str, float]]]:
-        network, curve = train_features(config, train, test, 0, Checkpoint(tmp_path / name, "key"))
+        network, curve = train_features(config, train, test, NO_WEIGHTS, 0, Checkpoint(tmp_path / name, "key"))
         save_feature_extractor(tmp_path / f"{name}.safetensors", network, 2.0, {})
         return (tmp_path / f"{name}.safetensors").read_bytes(), curve.rows
 
@@ -95,7 +96,7 @@ def test_a_diverged_training_is_an_error_and_keeps_the_state_before(tmp_path: Pa
     checkpoint = Checkpoint(tmp_path, "key")
     config = replace(CONFIG, learning_rate=1e30, checkpoint_every=1)
     with pytest.raises(TrainingDiverged, match="checkpoint before it is kept"):
-        train_features(config, bars(64, 0), bars(16, 1), 0, checkpoint)
+        train_features(config, bars(64, 0), bars(16, 1), NO_WEIGHTS, 0, checkpoint)
     restored = checkpoint.load()
     assert restored is not None
     assert torch.isfinite(restored[0]["loss_sum"])
@@ -104,7 +105,7 @@ def test_a_diverged_training_is_an_error_and_keeps_the_state_before(tmp_path: Pa
 def test_one_category_alone_cannot_be_classified(tmp_path: Path) -> None:
     cars = Pictures(bars(16, 0).images, torch.zeros(16, dtype=torch.int64))
     with pytest.raises(ConfigError, match="set it to rotation"):
-        train_features(CONFIG, cars, cars, 0, Checkpoint(tmp_path, "key"))
+        train_features(CONFIG, cars, cars, NO_WEIGHTS, 0, Checkpoint(tmp_path, "key"))
 
 
 def test_one_cycle_rises_to_its_peak_and_falls_to_zero() -> None:
@@ -120,3 +121,27 @@ def test_pictures_of_a_missing_category_are_a_data_error(tmp_path: Path) -> None
         list_categories(tmp_path)
     with pytest.raises(DataError, match="car"):
         load_pictures(tmp_path, ["car"], torch.device("cpu"))
+
+
+def test_transfer_keeps_the_features_and_learns_the_categories(tmp_path: Path) -> None:
+    train, test = bars(192, 0), bars(64, 1)
+    first, _ = train_features(CONFIG, train, test, NO_WEIGHTS, 0, Checkpoint(tmp_path / "first", "key"))
+    weights = tmp_path / "weights.safetensors"
+    save_feature_extractor(weights, first, 2.0, {})
+    config = replace(CONFIG, method="transfer")
+    second, curve = train_features(config, train, test, weights, 1, Checkpoint(tmp_path / "second", "key"))
+    images = test.images.float() / 255
+    stored = load_wide_resnet(weights, torch.device("cpu"))
+    for given, kept in zip(stored.features(images), second.features(images), strict=True):
+        torch.testing.assert_close(kept, given, rtol=1e-4, atol=1e-4)
+    assert not torch.equal(second.classifier.weight, stored.classifier.weight)
+    assert curve.rows[-1]["test_accuracy"] > 0.8
+
+
+def test_weights_of_another_size_cannot_be_transferred(tmp_path: Path) -> None:
+    weights = tmp_path / "weights.safetensors"
+    save_feature_extractor(weights, WideResNet(10, 2, 2), 2.0, {})
+    with pytest.raises(ConfigError, match="WRN-10-2; set depth and width"):
+        train_features(
+            replace(CONFIG, method="transfer"), bars(16, 0), bars(16, 1), weights, 0, Checkpoint(tmp_path, "key")
+        )
