@@ -1,11 +1,15 @@
 """Cutting closed meshes in two disks, and putting mirror images together."""
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from pipeline.errors import MeshError
 from pipeline.geometry.symmetry import mirror_index, reflect, symmetrize
+from pipeline.geometry.topology import topology_of
 
 
 def cut_half(
@@ -70,12 +74,11 @@ def border_loop(faces: Int[Tensor, "H 3"]) -> Int[Tensor, " N"]:
 
     Raise MeshError when the border is not one simple loop.
     """
-    edges = border_edges(faces)
-    following = dict(edges.tolist())
-    loop = [int(edges[0, 0])]
-    while len(loop) < len(edges) and (vertex := following[loop[-1]]) != loop[0]:
+    following = dict(border_edges(faces).tolist())
+    loop = [min(following, default=0)]
+    while (vertex := following.get(loop[-1])) not in (None, loop[0]):
         loop.append(vertex)
-    if len(loop) < len(edges) or following[loop[-1]] != loop[0]:
+    if len(loop) < len(border_edges(faces)) or not following:
         raise MeshError("half of the mesh is not a disk, expected a border of one loop: the mesh needs genus 0")
     return torch.tensor(loop)
 
@@ -85,7 +88,8 @@ def split_chords(
 ) -> tuple[Float[Tensor, "vertices 3"], Int[Tensor, "faces 3"]]:
     """Split every inner edge between two border vertices of a disk in its middle.
 
-    Such an edge would coincide with its mirror image once halves are joined, and its faces could lie on the border alone.
+    Such an edge would coincide with its mirror image once halves are joined, and a face beside it could have all its
+    corners on the border.
     """
     while True:
         on_border = border_mask(faces, len(vertices))
@@ -102,20 +106,26 @@ def split_chords(
         faces = torch.cat([faces[~beside], *halves])
 
 
-def divide(
-    vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], directions: Float[Tensor, "V 3"]
-) -> Bool[Tensor, " F"]:
-    """Tell which faces of a closed mesh form the disk around +x; the others form the one around -x.
+def divide(faces: Int[Tensor, "F 3"], directions: Float[Tensor, "V 3"]) -> Bool[Tensor, " F"]:
+    """Tell which faces of a closed mesh form a disk around +x; the others form one around -x.
 
-    A face goes by the mean x of its directions, then islands and pinched places are given to the side around them.
+    A face goes by the mean x of its corners' directions; then islands and places where the border would touch itself
+    are given to the other side.
     """
     positive = directions[faces].sum(dim=1)[:, 0] >= 0
-    neighbours = topology_of(faces).edge_faces
+    edge_faces = topology_of(faces).edge_faces
     while True:
-        for keep in (True, False):
-            positive = torch.where(_largest_part(positive == keep, neighbours), keep, ~torch.tensor(keep)) if keep else ~_largest_part(~positive, neighbours)
-        counts = torch.bincount(border_edges(faces[positive]).flatten(), minlength=len(vertices))
-        pinched = counts > 2
+        positive = _largest_part(positive, edge_faces)
+        positive = ~_largest_part(~positive, edge_faces)
+        pinched = torch.bincount(border_edges(faces[positive]).flatten(), minlength=len(directions)) > 2
         if not pinched.any():
             return positive
         positive = positive | pinched[faces].any(dim=1)
+
+
+def _largest_part(mask: Bool[Tensor, " F"], edge_faces: Int[Tensor, "E 2"]) -> Bool[Tensor, " F"]:
+    """Keep the largest set of masked faces that hang together by edges."""
+    inside = edge_faces[mask[edge_faces].all(dim=1)].numpy()
+    graph = coo_array((np.ones(len(inside)), inside.T), shape=(len(mask), len(mask)))
+    labels = torch.from_numpy(connected_components(graph, directed=False)[1])
+    return mask & (labels == labels[mask].mode().values)

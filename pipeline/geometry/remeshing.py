@@ -1,16 +1,23 @@
-"""Remeshing of mirror-symmetric surfaces into polygons of even size (paper 3.1.7)."""
+"""Remeshing of surfaces into polygons of even size (paper 3.1.7)."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
 from pipeline.errors import MeshError
-from pipeline.geometry.halves import border_mask, cut_half, flatten_border, join_halves, split_chords
+from pipeline.geometry.halves import border_loop, cut_half, divide, join_halves, split_chords
 from pipeline.geometry.meshlab import isotropic_remeshing
-from pipeline.geometry.sphere_map import SphereMapConfig, map_half_to_hemisphere
+from pipeline.geometry.sphere_map import SphereMapConfig, map_to_sphere
+from pipeline.geometry.symmetry import is_symmetric, mirror_index
 from pipeline.geometry.topology import euler_characteristic, polygon_areas
+
+# Share of the squared diagonal below which there is no surface to speak of; a sphere has about 1.
+SMALLEST_AREA = 1e-4
+# Parts into which the sides of a face are divided to find nearest points.
+GRID = 4
 
 
 class MappedMesh(NamedTuple):
@@ -41,25 +48,19 @@ class IsotropicConfig:
 def remesh_isotropic(mesh: MappedMesh, isotropic: IsotropicConfig, sphere_map: SphereMapConfig) -> MappedMesh:
     """Make polygons even in size and shape and map the new mesh one-to-one to the sphere.
 
-    One half is remeshed, mapped to a hemisphere and mirrored, so that the result is symmetric to the last bit in
-    positions and directions. Raise MeshError when the input is not finite, closed, of genus 0 and symmetric.
+    A mirror-symmetric mesh stays so to the last bit, in positions and directions: one half is remeshed, mapped to a
+    hemisphere and mirrored. Raise MeshError when the input is not finite, closed and of genus 0, or has no extent.
     """
     check_surface(mesh)
-    half_vertices, half_faces = cut_half(mesh.vertices.double(), mesh.faces, mesh.directions)
-    attempts = _attempts(half_vertices, half_faces, isotropic)
-    half_vertices, half_faces = min(attempts, key=lambda half: abs(2 * len(half[1]) - isotropic.target_faces))
-    half_vertices, half_faces = split_chords(half_vertices, half_faces)
-    half_vertices = flatten_border(half_vertices, border_mask(half_faces))
-    half_directions = map_half_to_hemisphere(half_vertices, half_faces, sphere_map)
-    vertices, faces = join_halves(half_vertices, half_faces)
-    directions, _ = join_halves(half_directions, half_faces)
-    remeshed = MappedMesh(vertices.float(), faces, directions.float())
+    symmetric = is_symmetric(mesh.vertices, mirror_index(mesh.directions))
+    remeshed = (_remesh_half if symmetric else _remesh_whole)(mesh, isotropic, sphere_map)
+    remeshed = MappedMesh(remeshed.vertices.float(), remeshed.faces, remeshed.directions.float())
     check_surface(remeshed)
     return remeshed
 
 
 def check_surface(mesh: MappedMesh) -> None:
-    """Raise MeshError unless the mesh is finite, closed and of genus 0."""
+    """Raise MeshError unless the mesh is finite, closed, of genus 0 and more than a line or a point."""
     if not (mesh.vertices.isfinite().all() and mesh.directions.isfinite().all()):
         raise MeshError(
             "the mesh has vertices that are not finite numbers: expected a base shape whose training converged"
@@ -68,13 +69,49 @@ def check_surface(mesh: MappedMesh) -> None:
         raise MeshError(
             f"the mesh has Euler characteristic {characteristic}, expected 2: one closed surface of genus 0"
         )
+    diagonal = (mesh.vertices.amax(dim=0) - mesh.vertices.amin(dim=0)).norm()
+    if polygon_areas(mesh.vertices, mesh.faces).sum() <= SMALLEST_AREA * diagonal.square():
+        raise MeshError("the mesh has collapsed to a line or a point: expected a base shape whose training converged")
 
 
-def _attempts(
-    vertices: Float[Tensor, "W 3"], faces: Int[Tensor, "H 3"], config: IsotropicConfig
-) -> list[tuple[Tensor, Tensor]]:
-    """Remesh a disk several times, correcting the edge length by the number of faces it led to."""
-    target = config.target_faces / 2
+def _remesh_half(mesh: MappedMesh, isotropic: IsotropicConfig, sphere_map: SphereMapConfig) -> MappedMesh:
+    vertices, faces = cut_half(mesh.vertices.double(), mesh.faces, mesh.directions)
+    vertices, faces = _remesh(vertices, faces, isotropic.target_faces / 2, isotropic)
+    vertices, faces = split_chords(vertices, faces)
+    loop = border_loop(faces)
+    side = torch.ones(len(vertices), dtype=torch.int64).index_fill(0, loop, 0)
+    joined_vertices, joined_faces = join_halves(vertices, faces)
+    directions = map_to_sphere(joined_vertices[: len(vertices)], faces, loop, side, sphere_map)
+    return MappedMesh(joined_vertices, joined_faces, join_halves(directions, faces)[0])
+
+
+def _remesh_whole(mesh: MappedMesh, isotropic: IsotropicConfig, sphere_map: SphereMapConfig) -> MappedMesh:
+    vertices, faces = _remesh(mesh.vertices.double(), mesh.faces, isotropic.target_faces, isotropic)
+    positive = divide(faces, _nearest_directions(vertices, mesh))
+    vertices, right = split_chords(vertices, faces[positive])
+    vertices, left = split_chords(vertices, faces[~positive])
+    loop, faces = border_loop(right), torch.cat([right, left])
+    side = torch.zeros(len(vertices), dtype=torch.int64)
+    side = side.index_fill(0, right.unique(), 1).index_fill(0, left.unique(), -1).index_fill(0, loop, 0)
+    return MappedMesh(vertices, faces, map_to_sphere(vertices, faces, loop, side, sphere_map))
+
+
+def _nearest_directions(vertices: Float[Tensor, "V 3"], mesh: MappedMesh) -> Float[Tensor, "V 3"]:
+    """Take each vertex's direction from the nearest of the points of a grid on every face."""
+    steps = torch.cartesian_prod(torch.arange(GRID + 1), torch.arange(GRID + 1))
+    steps = steps[steps.sum(dim=1) <= GRID] / GRID
+    weights = torch.cat([1 - steps.sum(dim=1, keepdim=True), steps], dim=1).double()
+    points, directions = (
+        torch.einsum("gc,fcx->fgx", weights, values.double()[mesh.faces]).flatten(0, 1)
+        for values in (mesh.vertices, mesh.directions)
+    )
+    return directions[torch.cdist(vertices, points).argmin(dim=1)]
+
+
+def _remesh(
+    vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], target: float, config: IsotropicConfig
+) -> tuple[Float[Tensor, "W 3"], Int[Tensor, "H 3"]]:
+    """Remesh several times, correcting the edge length by the number of faces it led to, and keep the best."""
     edge_length = (polygon_areas(vertices, faces).sum().item() / target * 4 / 3**0.5) ** 0.5
     attempts = []
     for _ in range(config.attempts):
@@ -84,4 +121,4 @@ def _attempts(
             )
         )
         edge_length *= (len(attempts[-1][1]) / target) ** 0.5
-    return attempts
+    return min(attempts, key=lambda attempt: abs(len(attempt[1]) - target))

@@ -12,6 +12,8 @@ from pipeline.geometry.topology import polygon_areas
 
 # Areas vanish below single precision in the first embedding of a long limb; their logarithms must not.
 SMALLEST_RATIO = 1e-12
+# Some tens are enough for the few triangles that need it.
+UNFOLDING_ROUNDS = 100
 
 
 @dataclass(frozen=True)
@@ -38,25 +40,29 @@ def map_to_sphere(
     Without the other disk the map covers the hemisphere x >= 0. Springs along the edges embed both disks in the unit
     disk, which cannot fold (Tutte 1963), and Lambert's equal-area projection lifts each to its hemisphere. Where the
     map enlarges the surface the springs are stiffened and the embedding is repeated (after Yoshizawa, Belyaev & Seidel
-    2004); of all iterations the one that distorts areas least is kept. Last, a turn about the x axis makes directions
+    2004). Of all iterations the one that distorts areas least is kept. Last, a turn about the x axis makes directions
     agree with positions best. Return unit vectors in double precision. Raise MeshError when every embedding has a
     flipped triangle.
     """
     vertices = vertices.double()
-    stiffness = _adjacency(faces)
+    adjacency = _adjacency(faces)
+    stiffness = adjacency.clone()
     spacing = (vertices[loop.roll(-1)] - vertices[loop]).norm(dim=1)
     best, least_distortion = None, math.inf
     for _ in range(config.iterations):
-        directions = _lift(_embed(stiffness, spacing, loop), side)
+        positions = _embed(stiffness, spacing, loop)
+        directions = _unfold(_lift(positions, side), faces, adjacency, side)
         if (distortion := area_distortion(vertices, faces, directions)) < least_distortion:
             best, least_distortion = directions, distortion
-        enlargement = _vertex_enlargement(vertices, faces, directions)
+        enlargement = _enlargement(vertices, faces, positions)
         stiffness *= (enlargement[:, None] * enlargement).sqrt() ** config.correction
         stiffness /= stiffness.max()
         # A length goes with the root of an area.
         spacing /= (enlargement[loop] * enlargement[loop.roll(-1)]).sqrt() ** (config.correction / 2)
     if best is None:
-        raise MeshError("every map of the mesh to the sphere folds, expected one that does not: the mesh is too distorted")
+        raise MeshError(
+            "every map of the mesh to the sphere folds, expected one that does not: the mesh is too distorted"
+        )
     return _turn_towards(best, vertices, faces)
 
 
@@ -118,11 +124,38 @@ def _lift(positions: Float[Tensor, "V 2"], side: Int[Tensor, " V"]) -> Float[Ten
     return torch.cat([side[:, None] * (1 - squared), positions * (2 - squared).sqrt()], dim=1)
 
 
-def _vertex_enlargement(
-    vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], directions: Float[Tensor, "V 3"]
+def _unfold(
+    directions: Float[Tensor, "V 3"],
+    faces: Int[Tensor, "F 3"],
+    adjacency: Float[Tensor, "V V"],
+    side: Int[Tensor, " V"],
+) -> Float[Tensor, "V 3"]:
+    """Pull the corners of flipped triangles between their neighbours.
+
+    A triangle whose sides are straight in the disk can be flipped when they become great circles. Where there is but
+    one disk its border stays on the great circle x = 0.
+    """
+    on_plane = (side == 0) & (side.min() == 0)
+    for _ in range(UNFOLDING_ROUNDS):
+        flipped = solid_angles(directions, faces) <= 0
+        if not flipped.any():
+            break
+        corners = faces[flipped].unique()
+        middle = adjacency[corners] @ directions
+        middle[on_plane[corners], 0] = 0
+        directions = directions.index_copy(0, corners, torch.nn.functional.normalize(middle, dim=1))
+    return directions
+
+
+def _enlargement(
+    vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], positions: Float[Tensor, "V 2"]
 ) -> Float[Tensor, " V"]:
-    """Average the area ratio around each vertex, geometrically."""
-    logarithms = area_ratios(vertices, faces, directions).clamp(min=SMALLEST_RATIO).log()
+    """Average by how much the embedding in the disk enlarges the faces around each vertex, geometrically.
+
+    Areas in the disk stay positive where a triangle of the sphere with long sides is still flipped.
+    """
+    embedded = polygon_areas(torch.nn.functional.pad(positions, (0, 1)), faces)
+    logarithms = (embedded / polygon_areas(vertices, faces)).clamp(min=SMALLEST_RATIO).log()
     total = logarithms.new_zeros(len(vertices)).index_add(0, faces.flatten(), logarithms.repeat_interleave(3))
     return (total / torch.bincount(faces.flatten())).exp()
 

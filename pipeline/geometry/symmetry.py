@@ -24,6 +24,11 @@ def mirror_index(vertices: Float[Tensor, "V 3"], tolerance: float = 1e-6) -> Int
     return index
 
 
+def is_symmetric(vertices: Float[Tensor, "V 3"], mirror: Int[Tensor, " V"], tolerance: float = 1e-4) -> bool:
+    """Tell whether each vertex is the reflection of its mirror partner within `tolerance`."""
+    return bool((vertices[mirror] - reflect(vertices)).abs().max() <= tolerance)
+
+
 def reflect(vectors: Float[Tensor, "... 3"]) -> Float[Tensor, "... 3"]:
     """Negate the x coordinate."""
     return vectors * vectors.new_tensor([-1.0, 1.0, 1.0])

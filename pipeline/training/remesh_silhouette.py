@@ -12,7 +12,7 @@ from tqdm import trange
 from pipeline.geometry.camera import Pose, project
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.remeshing import MappedMesh, check_surface
-from pipeline.geometry.symmetry import mirror_index, symmetrize
+from pipeline.geometry.symmetry import is_symmetric, mirror_index, symmetrize
 from pipeline.geometry.topology import laplacian_matrix, polygon_areas
 from pipeline.rendering.antialias import antialias
 from pipeline.rendering.rasterize import rasterize
@@ -46,12 +46,13 @@ def remesh_by_silhouettes(original: MappedMesh, config: SilhouetteConfig) -> Map
 
     The sphere's own vertices are the directions, so polygons of even size are a map of even areas. What no silhouette
     shows, such as a dent, is filled. Steps are taken in the coordinates (I + stiffness L) v, in which they are smooth
-    (Nicolet, Jacobson & Jakob 2021). The result is mirror-symmetric. Raise MeshError when the input is not finite,
-    closed and of genus 0.
+    (Nicolet, Jacobson & Jakob 2021). A mirror-symmetric shape stays so. Raise MeshError when the input is not finite,
+    closed and of genus 0, or has no extent.
     """
     check_surface(original)
     directions, faces = icosphere(config.subdivisions)
     mirror = mirror_index(directions)
+    symmetric = is_symmetric(original.vertices, mirror_index(original.directions))
     poses = views_all_around(config.views)
     targets = silhouettes(original.vertices, original.faces, poses, config.renderer)
     lower, upper = original.vertices.amin(dim=0), original.vertices.amax(dim=0)
@@ -60,17 +61,20 @@ def remesh_by_silhouettes(original: MappedMesh, config: SilhouetteConfig) -> Map
     compliance = torch.linalg.inv(resistance)
     free = (resistance @ ellipsoid).requires_grad_()
     optimizer = torch.optim.Adam([free], config.learning_rate)
+
+    def shape() -> Float[Tensor, "V 3"]:
+        return symmetrize(compliance @ free, mirror) if symmetric else compliance @ free
+
     for _ in trange(config.iterations, desc="remesh", disable=None):
-        vertices = symmetrize(compliance @ free, mirror)
+        vertices = shape()
         areas = polygon_areas(vertices, faces)
         loss = (silhouettes(vertices, faces, poses, config.renderer) - targets).square().mean()
-        loss = (
-            loss + config.area_variance_weight * areas.var() / areas.mean().square() + config.area_weight * areas.sum()
-        )
+        loss = loss + config.area_variance_weight * areas.var() / areas.mean().square()
+        loss = loss + config.area_weight * areas.sum()
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-    return MappedMesh(symmetrize(compliance @ free.detach(), mirror), faces, directions)
+    return MappedMesh(shape().detach(), faces, directions)
 
 
 def views_all_around(count: int) -> Pose:

@@ -3,7 +3,7 @@ import torch
 from torch import Tensor
 
 from pipeline.errors import MeshError
-from pipeline.geometry.halves import border_loop, border_mask, cut_half, join_halves, split_chords
+from pipeline.geometry.halves import border_loop, border_mask, cut_half, divide, join_halves, split_chords
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.symmetry import mirror_index, reflect
 from pipeline.geometry.topology import euler_characteristic, polygon_areas
@@ -33,7 +33,7 @@ def test_sides_are_told_by_directions_where_the_surface_crosses_the_plane() -> N
     directions, faces = icosphere(2)
     crossed = directions * torch.tensor([-1.0, 1, 1])
     half_vertices, half_faces = cut_half(crossed, faces, directions)
-    assert (half_vertices[~border_mask(half_faces), 0] < 0).all()
+    assert (half_vertices[~border_mask(half_faces, len(half_vertices)), 0] < 0).all()
 
 
 def test_chord_between_border_vertices_is_split() -> None:
@@ -43,6 +43,16 @@ def test_chord_between_border_vertices_is_split() -> None:
     assert len(split_faces) == 4
     torch.testing.assert_close(polygon_areas(split_vertices, split_faces).sum().item(), 1.0)
     assert euler_characteristic(join_halves(split_vertices, split_faces)[1]) == 2
+
+
+def test_divided_sphere_is_two_disks_whatever_islands_its_directions_have() -> None:
+    directions, faces = icosphere(3)
+    generator = torch.Generator().manual_seed(0)
+    noisy = directions + 0.4 * torch.randn(directions.shape, generator=generator)
+    positive = divide(faces, noisy)
+    first, second = border_loop(faces[positive]), border_loop(faces[~positive])
+    assert set(first.tolist()) == set(second.tolist())
+    assert 0.4 < positive.float().mean() < 0.6
 
 
 def test_border_of_two_loops_is_refused() -> None:

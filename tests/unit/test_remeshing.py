@@ -1,4 +1,5 @@
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 import torch
@@ -38,12 +39,29 @@ def test_result_is_symmetric_outward_and_the_same_every_time() -> None:
     assert all(torch.equal(first, second) for first, second in zip(remeshed, again, strict=True))
 
 
+@pytest.mark.parametrize("name", ["horse", "finned"])
+def test_lopsided_surface_is_remeshed_as_it_is(name: str) -> None:
+    vertices, faces, directions = deformed_sphere(name)
+    lean = torch.tensor([[1.0, 0.3, 0.0], [0.0, 1.0, 0.0], [0.4, 0.0, 1.0]])
+    original = MappedMesh(vertices @ lean, faces, directions)
+    remeshed = remesh_isotropic(original, replace(ISOTROPIC, target_faces=800), SPHERE_MAP)
+    measured = measure_remeshing(original, remeshed)
+    assert measured["area_variation_after"] < 0.45
+    assert measured["hausdorff"] < 0.03
+    assert measured["map_flipped_faces"] == 0
+    assert measured["map_area_distortion"] < (1.8 if name == "horse" else 1.2)
+
+
 def without_a_face(mesh: MappedMesh) -> MappedMesh:
     return mesh._replace(faces=mesh.faces[1:])
 
 
 def with_a_stray_vertex(mesh: MappedMesh) -> MappedMesh:
     return mesh._replace(vertices=mesh.vertices.index_fill(0, torch.tensor(3), torch.nan))
+
+
+def without_extent(mesh: MappedMesh) -> MappedMesh:
+    return mesh._replace(vertices=mesh.vertices * torch.tensor([0.0, 1.0, 0.0]))
 
 
 def with_two_spheres(mesh: MappedMesh) -> MappedMesh:
@@ -57,6 +75,7 @@ def with_two_spheres(mesh: MappedMesh) -> MappedMesh:
     [
         (without_a_face, "not closed"),
         (with_a_stray_vertex, "not finite"),
+        (without_extent, "collapsed"),
         (with_two_spheres, "Euler characteristic 4"),
     ],
 )
