@@ -25,8 +25,8 @@ class FeaturesConfig:
     """Say which network learns what, and how fast."""
 
     method: Literal["classification", "rotation", "transfer"]
-    """Tell the data set's categories apart; or (self-supervised, no label at all) by how many right angles a picture was
-    turned (Gidaris et al., 2018); or keep the features of given weights and learn only to tell the categories apart."""
+    """Tell the data set's categories apart; or (self-supervised, no label at all) by how many right angles a picture
+    was turned (Gidaris et al., 2018); or keep the features of given weights and learn only a classifier on them."""
     depth: int
     """Layers of the wide residual network: 6 N + 4."""
     width: int
@@ -185,8 +185,8 @@ def _build_network(config: FeaturesConfig, train: Pictures, initial: Path, seed:
         return _with_new_classifier(load_wide_resnet(initial, torch.device("cpu")), classes, config, seed)
     if classes < 2:
         raise ConfigError(
-            "train_features.method is classification but the data set has one category; set it to rotation or transfer, "
-            "which need no categories"
+            "train_features.method is classification but the data set has one category; set it to rotation, "
+            "which needs no categories, or to transfer"
         )
     with initialised(seed, "features", "network"):
         network = WideResNet(config.depth, config.width, classes)
@@ -199,8 +199,8 @@ def _build_network(config: FeaturesConfig, train: Pictures, initial: Path, seed:
 def _with_new_classifier(network: WideResNet, classes: int, config: FeaturesConfig, seed: int) -> WideResNet:
     if (network.depth, network.width) != (config.depth, config.width):
         raise ConfigError(
-            f"train_features.depth and .width are {config.depth} and {config.width}, but the weights to transfer are of a "
-            f"WRN-{network.depth}-{network.width}; set depth and width to those"
+            f"train_features.depth and .width are {config.depth} and {config.width}, but the weights to transfer are of "
+            f"a WRN-{network.depth}-{network.width}; set depth and width to those"
         )
     with initialised(seed, "features", "network"):
         classifier = nn.Linear(network.classifier.in_features, classes)
