@@ -64,8 +64,9 @@ def make_tiny_project(folder: Path) -> None:
     """Copy the code (with its compiled kernels) and the graph, shrink the numbers and set up DVC."""
     for package in ("pipeline", "stages"):
         shutil.copytree(ROOT / package, folder / package)
-    for name in ("dvc.yaml", ".dvcignore"):
-        shutil.copy(ROOT / name, folder / name)
+    (folder / "data" / "raw").mkdir(parents=True)
+    for path in (ROOT / "dvc.yaml", ROOT / ".dvcignore", *ROOT.glob("data/raw/*.safetensors")):
+        shutil.copy(path, folder / path.relative_to(ROOT))
     yaml = YAML(typ="safe")
     params = yaml.load(ROOT / "params.yaml")
     params["runs"] = {"toybox-car": params["runs"]["toybox-car"]}
