@@ -74,7 +74,9 @@ def test_the_front_faces_positive_z(category: str, front: int, rear: int) -> Non
     solid = CATEGORIES[category].build(16, np.random.default_rng(0)).solid
     depth = solid.vertices[:, solid.faces].mean(axis=2)[..., 2]
     ahead, behind = (depth[:, solid.materials == material].mean(axis=1) for material in (front, rear))
-    assert (ahead > behind).all()
+    present = behind != 0  # some chairs have slats instead of a panel; it is then in the origin
+    assert present.sum() > 4
+    assert (ahead > behind)[present].all()
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
