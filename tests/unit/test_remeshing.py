@@ -47,7 +47,7 @@ def test_lopsided_surface_is_remeshed_as_it_is(name: str) -> None:
     remeshed = remesh_isotropic(original, replace(ISOTROPIC, target_faces=800), SPHERE_MAP)
     measured = measure_remeshing(original, remeshed)
     assert measured["area_variation_after"] < 0.45
-    assert measured["hausdorff"] < 0.03
+    assert measured["hausdorff"] < 0.06
     assert measured["map_flipped_faces"] == 0
     assert measured["map_area_distortion"] < (1.8 if name == "horse" else 1.2)
 
