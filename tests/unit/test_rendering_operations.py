@@ -1,6 +1,9 @@
 """Each operation of the renderer: the compiled one equals the one in tensor operations, in values and gradients."""
 
+import subprocess
+import sys
 from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 import torch
@@ -155,3 +158,8 @@ def test_expand_numbers_the_members_of_lists() -> None:
     owner, position = expand(torch.tensor([2, 0, 3]))
     assert owner.tolist() == [0, 0, 2, 2, 2]
     assert position.tolist() == [0, 1, 0, 1, 2]
+
+
+def test_numba_is_not_imported_before_the_first_picture_on_a_cpu() -> None:
+    code = "import sys, pipeline.rendering.renderer; sys.exit('numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[2], check=False).returncode == 0
