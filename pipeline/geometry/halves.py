@@ -1,10 +1,7 @@
 """Cutting closed meshes in two disks, and putting mirror images together."""
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from torch import Tensor
 
 from pipeline.errors import MeshError
@@ -125,7 +122,10 @@ def divide(faces: Int[Tensor, "F 3"], directions: Float[Tensor, "V 3"]) -> Bool[
 
 def _largest_part(mask: Bool[Tensor, " F"], edge_faces: Int[Tensor, "E 2"]) -> Bool[Tensor, " F"]:
     """Keep the largest set of masked faces that hang together by edges."""
-    inside = edge_faces[mask[edge_faces].all(dim=1)].numpy()
-    graph = coo_array((np.ones(len(inside)), inside.T), shape=(len(mask), len(mask)))
-    labels = torch.from_numpy(connected_components(graph, directed=False)[1])
+    first, second = edge_faces[mask[edge_faces].all(dim=1)].unbind(dim=1)
+    labels, previous = torch.arange(len(mask)), torch.zeros(0)
+    while not torch.equal(labels, previous):
+        previous = labels
+        labels = labels.scatter_reduce(0, first, previous[second], "amin")
+        labels = labels.scatter_reduce(0, second, previous[first], "amin")
     return mask & (labels == labels[mask].mode().values)
