@@ -199,8 +199,8 @@ def _build_network(config: FeaturesConfig, train: Pictures, initial: Path, seed:
 def _with_new_classifier(network: WideResNet, classes: int, config: FeaturesConfig, seed: int) -> WideResNet:
     if (network.depth, network.width) != (config.depth, config.width):
         raise ConfigError(
-            f"train_features.depth and .width are {config.depth} and {config.width}, but the weights to transfer are of "
-            f"a WRN-{network.depth}-{network.width}; set depth and width to those"
+            f"train_features.depth and .width are {config.depth} and {config.width}, but the weights to start from are "
+            f"WRN-{network.depth}-{network.width}; set both to those"
         )
     with initialised(seed, "features", "network"):
         classifier = nn.Linear(network.classifier.in_features, classes)
