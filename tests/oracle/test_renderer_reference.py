@@ -6,8 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
-from pipeline.geometry.camera import Pose, rotation_from_angles
+from pipeline.geometry.camera import Pose, project, rotation_from_angles
 from pipeline.rendering import reference
+from pipeline.rendering.rasterize import rasterize
 from pipeline.rendering.renderer import Rendering, render
 from tests.scenes import CONFIG, Scene
 
@@ -99,6 +100,17 @@ def test_every_size_shows_the_same_picture(size: int) -> None:
     scene = Scene(2, 3, seed=9)
     coarse = torch.nn.functional.avg_pool2d(scene.render(size, 1).silhouettes, size // 32)
     assert (coarse - scene.render(32, 8).silhouettes).abs().mean() < 0.01
+
+
+def test_antialiasing_comes_close_to_the_covered_area() -> None:
+    scene = Scene(4, 3, seed=12)
+    vertices_ndc = project(scene.mesh.vertices, scene.pose, CONFIG.camera)
+    samples, points = (
+        (rasterize(vertices_ndc, scene.mesh.faces, size).face_index >= 0).float() for size in (16 * 32, 32)
+    )
+    area = torch.nn.functional.avg_pool2d(samples, 16)
+    antialiased = scene.render(supersampling=1).silhouettes
+    assert (antialiased - area).abs().mean() < 0.15 * (points - area).abs().mean()
 
 
 def test_values_stay_between_zero_and_one_on_tangled_meshes() -> None:
