@@ -4,12 +4,13 @@ Candidates are laid out one after the other, each for the whole batch: row `cand
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn import functional
 
 from pipeline.losses.image_distance import Features, feature_distance
 from pipeline.networks.full_model import FullModel, Reconstruction
@@ -23,6 +24,8 @@ FIRST_HEAD = 2
 class ExplorationConfig:
     """How many candidates of each kind a photograph gets in one iteration, and how far they lie from its record."""
 
+    map_weights: tuple[float, ...]
+    """Weights of the pictures and of each feature map when candidates are compared, see `candidate_distance`."""
     random_poses: int
     """Drawn from the whole pose range."""
     turned_poses: int
@@ -43,6 +46,11 @@ class ExplorationConfig:
     """The same in shape parameters."""
     shape_spread: float
     """Standard deviation of random shapes around the base shape, in shape parameters."""
+
+
+def refining(config: ExplorationConfig) -> ExplorationConfig:
+    """Return the config without the candidates that lie far from the recorded pose."""
+    return replace(config, random_poses=0, turned_poses=0, flipped_poses=0)
 
 
 class Record(NamedTuple):
@@ -71,11 +79,11 @@ class Estimate(NamedTuple):
 
 
 class Best(NamedTuple):
-    """The candidates with the lowest reconstruction loss; gradients flow to the networks whose own estimate won."""
+    """The candidates nearest to the photographs; gradients flow to the networks whose own estimate won."""
 
     record: Record
     losses: Float[Tensor, " B"]
-    """Reconstruction losses of the winners."""
+    """Distances of the winners."""
     head: Int[Tensor, " B"]
     """The ensemble's best head."""
     winner: Int[Tensor, " B"]
@@ -126,8 +134,9 @@ def score(
     estimate: Estimate,
     poses: Float[Tensor, "candidates B 7"],
     shapes: Float[Tensor, "candidates B K"],
+    map_weights: tuple[float, ...],
 ) -> Float[Tensor, "candidates B"]:
-    """Return every candidate's reconstruction loss, rendered with the estimated texture and background in one batch."""
+    """Return every candidate's distance, rendered with the estimated texture and background in one batch."""
     count = len(poses)
     vertices = model.shapes(shapes.flatten(0, 1))
     reconstructions = Reconstruction(
@@ -136,9 +145,22 @@ def score(
         model.poses(poses.flatten(0, 1), vertices),
         estimate.backgrounds.repeat(count, 1, 1, 1),
     )
-    features = extractor(model.render(reconstructions))
+    photographs = comparable(photographs, map_weights)
+    features = comparable(extractor(model.render(reconstructions)), map_weights)
     of_candidates = zip(*(layer.chunk(count) for layer in features), strict=True)
     return torch.stack([feature_distance(photographs, list(candidate)) for candidate in of_candidates])
+
+
+def comparable(features: Features, map_weights: tuple[float, ...]) -> list[Float[Tensor, "B _ _ _"]]:
+    """Prepare features for the comparison of candidates: the weighted pictures, then weighted maps of unit vectors.
+
+    Poses show in what a feature is and where, not in how strong it is, and little in the deepest map: a network that
+    names things learns to ignore them. Maps of weight 0 are left out.
+    """
+    pictures, *maps = features
+    directions = [functional.normalize(layer, dim=1) for layer in maps]
+    weighted = zip(map_weights, [pictures, *directions], strict=True)
+    return [weight * layer for weight, layer in weighted if weight > 0]
 
 
 def explore(
@@ -150,9 +172,9 @@ def explore(
     config: ExplorationConfig,
     rng: torch.Generator,
 ) -> Best:
-    """Find the candidate with the lowest reconstruction loss for each photograph."""
+    """Find the candidate nearest to each photograph."""
     poses, shapes = candidates(model, estimate, record, config, rng)
-    losses = score(model, extractor, photographs, estimate, poses, shapes)
+    losses = score(model, extractor, photographs, estimate, poses, shapes, config.map_weights)
     lowest, winner = losses.min(dim=0)
     photograph = torch.arange(len(winner), device=winner.device)
     head = losses[FIRST_HEAD : FIRST_HEAD + estimate.heads.shape[1]].argmin(dim=0)

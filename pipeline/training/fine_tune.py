@@ -13,7 +13,7 @@ from pipeline.losses.image_distance import feature_distance
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.networks.wide_resnet import FeatureExtractor, extract
 from pipeline.training.checkpoint import Checkpoint
-from pipeline.training.exploration import flipped
+from pipeline.training.exploration import comparable, flipped
 
 Loss = Callable[[Reconstruction], Float[Tensor, " B"]]
 
@@ -35,6 +35,8 @@ class FineTuneConfig:
     """How many photographs, from the first on; null for all."""
     batch_size: int
     betas: tuple[float, float]
+    map_weights: tuple[float, ...]
+    """Of the comparison of poses to start from, as in exploration."""
     flipped_poses: int
     """Flipped views of the student's pose, up to three, that may replace it as the start; so may the ensemble's."""
     background: PhaseConfig
@@ -67,15 +69,15 @@ class Outputs:
 
 
 @torch.no_grad()
-def choose_start(outputs: Outputs, loss: Loss, flips: int) -> None:
-    """Replace each photograph's pose by the best, by its loss, of the student's, its flipped views and the ensemble's.
+def choose_start(outputs: Outputs, distance: Loss, flips: int) -> None:
+    """Replace each photograph's pose by the nearest of the student's, its flipped views and the ensemble's.
 
     Descent cannot turn an object round; the regressors of the ensemble stand for the different answers.
     """
     student = outputs.values["pose"]
     starts = torch.cat([student[None], flipped(student, flips), outputs.heads.transpose(0, 1)])
-    losses = torch.stack([loss(outputs.reconstruct(pose=start)) for start in starts])
-    outputs.values["pose"] = starts[losses.argmin(dim=0), torch.arange(len(student), device=student.device)]
+    distances = torch.stack([distance(outputs.reconstruct(pose=start)) for start in starts])
+    outputs.values["pose"] = starts[distances.argmin(dim=0), torch.arange(len(student), device=student.device)]
 
 
 def tune(outputs: Outputs, name: str, loss: Loss, phase: PhaseConfig, betas: tuple[float, float]) -> None:
@@ -96,6 +98,13 @@ def tune(outputs: Outputs, name: str, loss: Loss, phase: PhaseConfig, betas: tup
             losses.sum().backward()
             optimizer.step()
     outputs.values[name] = best_value
+
+
+@torch.no_grad()
+def keep_better(outputs: Outputs, first: dict[str, Tensor], loss: Loss) -> None:
+    """Go back to the first values where the loss did not fall: another start can lead to a worse end."""
+    worse = loss(outputs.reconstruct()) > loss(outputs.reconstruct(**first))
+    outputs.values = {name: torch.where(worse[:, None], first[name], value) for name, value in outputs.values.items()}
 
 
 def fine_tune(
@@ -132,11 +141,16 @@ def _fine_tune_batch(
     def loss(reconstruction: Reconstruction) -> Float[Tensor, " B"]:
         return feature_distance(features, extractor(model.render(reconstruction)))
 
+    def distance(reconstruction: Reconstruction) -> Float[Tensor, " B"]:
+        rendered = comparable(extractor(model.render(reconstruction)), config.map_weights)
+        return feature_distance(comparable(features, config.map_weights), rendered)
+
     outputs = Outputs(model, images.float() / 255)
-    results = _describe(outputs, loss, "predicted")
-    choose_start(outputs, loss, config.flipped_poses)
+    results, first = _describe(outputs, loss, "predicted"), outputs.values.copy()
+    choose_start(outputs, distance, config.flipped_poses)
     for name, phase in (("background", config.background), ("pose", config.pose), ("shape", config.shape)):
         tune(outputs, name, loss, phase, config.betas)
+    keep_better(outputs, first, loss)
     return results | _describe(outputs, loss, "tuned") | {"textures": outputs.texture_maps.cpu()}
 
 

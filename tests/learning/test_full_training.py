@@ -16,7 +16,9 @@ from pipeline.training.full import FullTrainer, FullTrainingConfig, Photographs,
 from tests.tiny_full_model import MODEL, TRAINING, base_mesh, photographs, tiny_extractor, tiny_model, tiny_scenes
 
 SINGLE_STAGE = replace(TRAINING, model=replace(MODEL, two_stage=False))
-FINE_TUNING = FineTuneConfig(None, 3, (0.5, 0.99), 3, PhaseConfig(4, 0.05), PhaseConfig(6, 0.02), PhaseConfig(6, 0.02))
+FINE_TUNING = FineTuneConfig(
+    None, 3, (0.5, 0.99), (0.1, 1.0, 2.0, 0.0), 3, PhaseConfig(4, 0.05), PhaseConfig(6, 0.02), PhaseConfig(6, 0.02)
+)
 
 
 def train(config: FullTrainingConfig, folder: Path, count: int = 8) -> FullTrainer:

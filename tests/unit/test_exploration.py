@@ -5,10 +5,11 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from pipeline.losses.image_distance import feature_distance
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.networks.wide_resnet import extract
 from pipeline.seeding import generator
-from pipeline.training.exploration import Estimate, Record, candidates, explore, first_record, score
+from pipeline.training.exploration import Estimate, Record, candidates, comparable, explore, first_record, score
 from tests.tiny_full_model import TRAINING, photographs, tiny_extractor, tiny_model
 
 CONFIG = TRAINING.exploration
@@ -83,6 +84,16 @@ def test_the_true_pose_wins_and_its_loss_is_zero() -> None:
     assert best.losses.amax() < 1e-3
 
 
+def test_comparison_sees_directions_of_features_and_weights_of_maps() -> None:
+    pictures, weak = torch.rand(2, 3, 4, 4, generator=generator(0)), torch.rand(2, 8, 4, 4, generator=generator(1))
+    first = comparable([pictures, weak, weak], (0.5, 2.0, 0.0))
+    second = comparable([pictures, 3 * weak, 1 - weak], (0.5, 2.0, 0.0))
+    assert len(first) == 2
+    torch.testing.assert_close(first[0], 0.5 * pictures)
+    torch.testing.assert_close(first[1].norm(dim=1), torch.full((2, 4, 4), 2.0))
+    torch.testing.assert_close(feature_distance(first, second), torch.zeros(2), atol=1e-5, rtol=0)
+
+
 def test_exploring_never_ends_above_the_record_and_finds_the_best_head() -> None:
     model, extractor = tiny_model(), tiny_extractor()
     images, _ = photographs(4)
@@ -90,10 +101,18 @@ def test_exploring_never_ends_above_the_record_and_finds_the_best_head() -> None
     estimate, record = estimate_of(model, 4), first_record(model, 4, generator(0))
     best = explore(model, extractor, features, estimate, record, CONFIG, generator(1))
     zeros = torch.zeros(1, 4, model.shapes.parameter_count)
-    recorded = score(model, extractor, features, estimate, record.pose[None], zeros)[0]
+    recorded = score(model, extractor, features, estimate, record.pose[None], zeros, CONFIG.map_weights)[0]
     assert (best.losses <= recorded + 1e-4).all()
     assert (best.losses < recorded - 1e-3).any()
-    of_heads = score(model, extractor, features, estimate, estimate.heads.transpose(0, 1), zeros.expand(2, -1, -1))
+    of_heads = score(
+        model,
+        extractor,
+        features,
+        estimate,
+        estimate.heads.transpose(0, 1),
+        zeros.expand(2, -1, -1),
+        CONFIG.map_weights,
+    )
     assert torch.equal(best.head, of_heads.argmin(dim=0))
 
 
