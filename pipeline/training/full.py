@@ -22,8 +22,9 @@ from pipeline.rendering.renderer import Mesh
 from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, Part, pack, require_finite, unpack
 from pipeline.training.curves import Curve
-from pipeline.training.exploration import Estimate, ExplorationConfig, explore, first_record
+from pipeline.training.exploration import Estimate, ExplorationConfig, Record, explore, first_record, refining
 from pipeline.training.full_losses import FullLoss, LossConfig
+from pipeline.training.matching import MatchingConfig, match_poses
 from pipeline.training.warm_up import WarmUpConfig, warm_up
 
 
@@ -50,7 +51,11 @@ class FullTrainingConfig:
     model: FullModelConfig
     ellipsoid: EllipsoidConfig
     warm_up: WarmUpConfig
-    """Of two-stage training alone: there is nothing to warm up on without a base shape."""
+    """Of two-stage training alone, like `matching`: there is nothing to render without a base shape."""
+    matching: MatchingConfig
+    settle: int
+    """Iterations in which matched poses are refined but no random, turned or flipped ones are tried: textures that mean
+    nothing yet would choose among them blindly."""
     exploration: ExplorationConfig
     loss: LossConfig
     discriminator_width: int
@@ -111,9 +116,8 @@ class FullTrainer:
         index = self.draw(iteration)
         images, features = self.photographs.batch(index)
         estimate = self.estimate(images)
-        best = explore(
-            self.model, self.extractor, features, estimate, self.record.rows(index), self.config.exploration, self.rng
-        )
+        exploration = self.config.exploration if iteration >= self.config.settle else refining(self.config.exploration)
+        best = explore(self.model, self.extractor, features, estimate, self.record.rows(index), exploration, self.rng)
         self.record.pose[index], self.record.shape[index] = best.record.pose.detach(), best.record.shape.detach()
         self.visits[index] += 1
         losses = self.loss.terms(features, estimate, best, self.rng)
@@ -122,6 +126,13 @@ class FullTrainer:
         losses["loss"].backward()
         self.optimizer.step()
         return {name: loss.item() for name, loss in losses.items()}
+
+    def start_from(self, scenes: SceneGenerator) -> None:
+        """Learn to read the base shape's renderings, and record first poses by matching photographs with them."""
+        config, features = self.config, self.photographs.features
+        warm_up(self.model, scenes, config.warm_up, self.rng)
+        poses = match_poses(self.model, scenes, self.extractor, features, config.matching, config.warm_up, self.rng)
+        self.record = Record(poses, self.record.shape)
 
     def estimate(self, images: Float[Tensor, "B 3 H W"]) -> Estimate:
         """Run all encoders and decoders on a batch of photographs."""
@@ -186,7 +197,7 @@ def train_full(
         unpack(tensors, **trainer.parts())
         curve, recent, first = Curve(values["rows"]), values["recent"], values["iteration"]
     elif config.model.two_stage:
-        warm_up(trainer.model, scenes, config.warm_up, trainer.rng)
+        trainer.start_from(scenes)
         checkpoint.save(pack(**trainer.parts()), {"iteration": 0, "rows": [], "recent": []})
     steps = range(first, config.iterations)
     for iteration in tqdm(steps, "full training", initial=first, total=config.iterations, disable=None):
