@@ -5,6 +5,8 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 # The stages' commands in dvc.yaml call `python`.
 export PATH := $(CURDIR)/$(BIN):$(PATH)
+# Threads that wait should sleep: on a busy machine spinning ones make every step many times slower.
+export OMP_WAIT_POLICY := PASSIVE
 
 .PHONY: repro test check run bench dependencies clean
 
@@ -15,7 +17,7 @@ run: $(STAMP)  ## turn a row of the paper on and run it: ROW= SIZE=laptop|paper 
 	python -m stages.run_row $(foreach option,ROW SIZE SOURCE ABLATION SEED DATASET CATEGORY,$(if $($(option)),--$(shell echo $(option) | tr A-Z a-z) "$($(option))"))
 
 test: $(STAMP)  ## the whole test suite
-	pytest
+	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 pytest
 
 check: $(STAMP)  ## style, types and the direction of imports
 	ruff check
