@@ -18,7 +18,7 @@ def _names(requirements: list[str]) -> set[str]:
 
 
 def _third_party(files: list[Path]) -> set[str]:
-    modules = set()
+    modules: set[str] = set()
     for file in files:
         for node in ast.walk(ast.parse(file.read_text())):
             if isinstance(node, ast.Import):
