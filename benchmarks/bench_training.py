@@ -70,7 +70,9 @@ def share_outside_networks(trainer: FullTrainer, iteration: int) -> float:
     """
     with marked(networks(trainer)), profile() as profiler, record_function(STEP):
         trainer.step(iteration)
-    events = list(profiler.events() or ())
+    recorded = profiler.events()
+    assert recorded is not None
+    events = list(recorded)
     forward = [event for event in events if event.name == NETWORK]
     numbers = {event.sequence_nr for event in events if event.sequence_nr >= 0 and _inside(event, forward)}
     backward = [
