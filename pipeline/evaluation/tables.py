@@ -1,10 +1,10 @@
 """Tables: one row a picture as CSV, and a run's figures as text for the terminal."""
 
-import csv
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import pandas
 from torch import Tensor
 
 from pipeline.evaluation.pose import MODES
@@ -15,18 +15,15 @@ Columns = Mapping[str, Tensor]
 
 def write_table(path: Path, columns: Columns) -> None:
     """Write columns of equal length as CSV, atomically; error modes are spelt out, fractions have six digits."""
-    rows = zip(*(_texts(name, values) for name, values in columns.items()), strict=True)
-    with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as stream:
-        writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow(columns)
-        writer.writerows(rows)
+    table = pandas.DataFrame({name: _texts(name, values) for name, values in columns.items()})
+    with atomic_path(path) as temporary:
+        table.to_csv(temporary, index=False, lineterminator="\n")
 
 
 def read_table(path: Path) -> dict[str, list[str]]:
     """Read the columns of a CSV file as text."""
-    with path.open(encoding="utf-8", newline="") as stream:
-        header, *rows = csv.reader(stream)
-    return {name: [row[column] for row in rows] for column, name in enumerate(header)}
+    table = pandas.read_csv(path, dtype=str, keep_default_na=False)
+    return {str(name): values.tolist() for name, values in table.items()}
 
 
 def figure_rows(metrics: Mapping[str, Any], prefix: str = "") -> list[tuple[str, float, float | None, int | None]]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from tests.project.import_closure import ROOT, import_closure
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-PACKAGE_OF = {"PIL": "pillow", "ruamel": "ruamel.yaml", "yaml": "pyyaml"}
+PACKAGE_OF = {"cv2": "opencv-python-headless", "PIL": "pillow", "ruamel": "ruamel.yaml", "yaml": "pyyaml"}
 TRAINING = ["train_features", "learn_base_shape", "train_full", "fine_tune"]
 
 
