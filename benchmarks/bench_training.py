@@ -31,7 +31,7 @@ def laptop_trainer() -> FullTrainer:
     directions, faces = icosphere(3)
     base = Mesh(directions[None] * torch.tensor([0.25, 0.25, 0.5]), faces, directions)
     with initialised(0):
-        extractor = FeatureExtractor(WideResNet(16, 1, 4), color_weight=20.0)
+        extractor = FeatureExtractor(WideResNet(16, 2, 4), color_weight=20.0)
     pictures = torch.randint(0, 256, (256, 3, 32, 32), generator=generator(0)).to(torch.uint8)
     return FullTrainer(config, Photographs(pictures, extract(extractor, pictures, 64)), extractor, base, seed=0)
 
