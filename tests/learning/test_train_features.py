@@ -141,7 +141,7 @@ def test_transfer_keeps_the_features_and_learns_the_categories(tmp_path: Path) -
 def test_weights_of_another_size_cannot_be_transferred(tmp_path: Path) -> None:
     weights = tmp_path / "weights.safetensors"
     save_feature_extractor(weights, WideResNet(10, 2, 2), 2.0, {})
-    with pytest.raises(ConfigError, match="WRN-10-2; set depth and width"):
+    with pytest.raises(ConfigError, match="WRN-10-2; set both"):
         train_features(
             replace(CONFIG, method="transfer"), bars(16, 0), bars(16, 1), weights, 0, Checkpoint(tmp_path, "key")
         )
