@@ -30,9 +30,11 @@ def test_every_command_exists() -> None:
 
 def test_every_example_of_a_parameter_exists() -> None:
     for key in re.findall(r"-S ([\w.]+)=", README):
-        value: Any = PARAMS
-        for name in key.split("."):
-            value = value[name]
+        section: Any = PARAMS
+        *sections, last = key.split(".")
+        for name in sections:
+            section = section[name]
+        assert last in section, key
 
 
 @pytest.mark.parametrize("page", ["README.md", *(f"docs/{path.name}" for path in ROOT.glob("docs/*.md"))])
