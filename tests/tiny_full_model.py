@@ -18,10 +18,11 @@ from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig,
 from pipeline.networks.wide_resnet import FeatureExtractor, WideResNet
 from pipeline.rendering.renderer import Mesh, RendererConfig
 from pipeline.seeding import generator, initialised
+from pipeline.training.azimuths import ConsensusConfig
 from pipeline.training.exploration import ExplorationConfig
+from pipeline.training.first_poses import FirstPosesConfig
 from pipeline.training.full import EllipsoidConfig, FullTrainingConfig
 from pipeline.training.full_losses import LossConfig
-from pipeline.training.matching import MatchingConfig
 from pipeline.training.viewpoints import LightConfig
 from pipeline.training.warm_up import WarmUpConfig
 
@@ -49,9 +50,9 @@ TRAINING = FullTrainingConfig(
     model=MODEL,
     ellipsoid=EllipsoidConfig((0.5, 0.5, 1.0), 2),
     warm_up=WarmUpConfig(2, 4, 1e-3, (0.9, 0.99), LightConfig(0.5, 0.5), 0.3, 0.1),
-    matching=MatchingConfig(8, 1.0, 20.0),
+    first_poses=FirstPosesConfig(8, 0.5, 0.1, 0.1, 0.85, 1.0, 20.0, ConsensusConfig(1, 4, 0.3, 0.3, 2, 3.0)),
     settle=2,
-    exploration=ExplorationConfig((0.1, 1.0, 2.0, 0.0), 1, 2, 3, 2, 1, 1, (0.02, 0.2), (0.02, 0.2), 0.5),
+    exploration=ExplorationConfig((0.1, 1.0, 2.0), 1, 2, 3, 2, 1, 1, (0.02, 0.2), (0.02, 0.2), 0.5),
     loss=LossConfig(0.1, 1.0, 1.0, 1.0, 1.0, 0.1, 0.1, SmoothnessConfig(1.0, 0.0, 0.0, 0.01, 0.0, 0.0)),
     discriminator_width=4,
     curve_every=2,

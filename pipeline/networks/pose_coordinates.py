@@ -56,12 +56,17 @@ class PoseCoordinates(nn.Module):
 
     def forward(self, coordinates: Float[Tensor, "B 7"], vertices: Float[Tensor, "B V 3"]) -> Pose:
         """Return the poses that put the shapes where the coordinates say. Gradients flow to both."""
-        elevation, roll, x, y, log_extent = (self.middle + self.reach * coordinates[:, 2:]).unbind(1)
+        elevation, roll = (self.middle[:2] + self.reach[:2] * coordinates[:, 2:4]).unbind(1)
         azimuth = torch.atan2(coordinates[:, 1], coordinates[:, 0])
+        return place_in_picture(vertices, azimuth, elevation, roll, *self.box(coordinates), self.camera)
+
+    def box(self, coordinates: Float[Tensor, "B 7"]) -> tuple[Float[Tensor, "B 2"], Float[Tensor, " B"]]:
+        """Return the middle of the object's box in the picture in ndc, and its longer side over the picture's."""
+        x, y, log_extent = (self.middle[2:] + self.reach[2:] * coordinates[:, 4:]).unbind(1)
         center, extent = torch.stack([x, y], 1), log_extent.exp()
         if self.fills_picture:
-            center, extent = torch.zeros_like(center), torch.ones_like(extent)
-        return place_in_picture(vertices, azimuth, elevation, roll, center, extent, self.camera)
+            return torch.zeros_like(center), torch.ones_like(extent)
+        return center, extent
 
     def draw(self, count: int, rng: torch.Generator) -> Float[Tensor, "B 7"]:
         """Draw coordinates uniformly: azimuth over the circle, the others over their ranges."""

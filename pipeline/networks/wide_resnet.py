@@ -71,11 +71,11 @@ class WideResNet(nn.Module):
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
         nn.init.zeros_(self.classifier.bias)
 
-    def features(self, images: Float[Tensor, "B 3 H W"]) -> list[Float[Tensor, "B _ _ _"]]:
-        """Return the outputs of the three groups, each right before the next sub-sampling."""
+    def features(self, images: Float[Tensor, "B 3 H W"], count: int = 3) -> list[Float[Tensor, "B _ _ _"]]:
+        """Return the outputs of the first `count` groups, each right before the next sub-sampling."""
         x = self.stem((images - self.mean) / self.std)
         outputs = []
-        for group in self.groups:
+        for group in self.groups[:count]:
             x = group(x)
             outputs.append(x)
         return outputs
@@ -106,10 +106,13 @@ class FeatureExtractor(nn.Module):
         self.requires_grad_(False)
         self.network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
 
-    def forward(self, images: Float[Tensor, "B 3 H W"]) -> list[Float[Tensor, "B _ _ _"]]:
-        """Return the weighted pictures and three feature maps, at full, half and quarter size, of RGB in [0, 1]."""
+    def forward(self, images: Float[Tensor, "B 3 H W"], count: int = 4) -> list[Float[Tensor, "B _ _ _"]]:
+        """Return the weighted pictures and three feature maps, at full, half and quarter size, of RGB in [0, 1].
+
+        Only the first `count` of the four are computed.
+        """
         images = images.contiguous(memory_format=torch.channels_last)
-        return [self.color_weight * images, *self.network.features(images)]
+        return [self.color_weight * images, *self.network.features(images, count - 1)]
 
 
 class ChannelAffine(nn.Module):

@@ -25,7 +25,7 @@ class ExplorationConfig:
     """How many candidates of each kind a photograph gets in one iteration, and how far they lie from its record."""
 
     map_weights: tuple[float, ...]
-    """Weights of the pictures and of each feature map when candidates are compared, see `candidate_distance`."""
+    """Weights of the pictures and of the first feature maps when candidates are compared, see `comparable`."""
     random_poses: int
     """Drawn from the whole pose range."""
     turned_poses: int
@@ -146,7 +146,7 @@ def score(
         estimate.backgrounds.repeat(count, 1, 1, 1),
     )
     photographs = comparable(photographs, map_weights)
-    features = comparable(extractor(model.render(reconstructions)), map_weights)
+    features = comparable(extractor(model.render(reconstructions), len(map_weights)), map_weights)
     of_candidates = zip(*(layer.chunk(count) for layer in features), strict=True)
     return torch.stack([feature_distance(photographs, list(candidate)) for candidate in of_candidates])
 
@@ -155,12 +155,11 @@ def comparable(features: Features, map_weights: tuple[float, ...]) -> list[Float
     """Prepare features for the comparison of candidates: the weighted pictures, then weighted maps of unit vectors.
 
     Poses show in what a feature is and where, not in how strong it is, and little in the deepest map: a network that
-    names things learns to ignore them. Maps of weight 0 are left out.
+    names things learns to ignore them. Maps beyond the last weight are left out.
     """
-    pictures, *maps = features
+    pictures, *maps = features[: len(map_weights)]
     directions = [functional.normalize(layer, dim=1) for layer in maps]
-    weighted = zip(map_weights, [pictures, *directions], strict=True)
-    return [weight * layer for weight, layer in weighted if weight > 0]
+    return [weight * layer for weight, layer in zip(map_weights, [pictures, *directions], strict=True)]
 
 
 def explore(

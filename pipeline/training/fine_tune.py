@@ -142,7 +142,7 @@ def _fine_tune_batch(
         return feature_distance(features, extractor(model.render(reconstruction)))
 
     def distance(reconstruction: Reconstruction) -> Float[Tensor, " B"]:
-        rendered = comparable(extractor(model.render(reconstruction)), config.map_weights)
+        rendered = comparable(extractor(model.render(reconstruction), len(config.map_weights)), config.map_weights)
         return feature_distance(comparable(features, config.map_weights), rendered)
 
     outputs = Outputs(model, images.float() / 255)

@@ -23,8 +23,8 @@ from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, Part, pack, require_finite, unpack
 from pipeline.training.curves import Curve
 from pipeline.training.exploration import Estimate, ExplorationConfig, Record, explore, first_record, refining
+from pipeline.training.first_poses import FirstPosesConfig, first_poses
 from pipeline.training.full_losses import FullLoss, LossConfig
-from pipeline.training.matching import MatchingConfig, match_poses
 from pipeline.training.warm_up import WarmUpConfig, warm_up
 
 
@@ -51,10 +51,10 @@ class FullTrainingConfig:
     model: FullModelConfig
     ellipsoid: EllipsoidConfig
     warm_up: WarmUpConfig
-    """Of two-stage training alone, like `matching`: there is nothing to render without a base shape."""
-    matching: MatchingConfig
+    """Of two-stage training alone, like `first_poses`: there is nothing to render without a base shape."""
+    first_poses: FirstPosesConfig
     settle: int
-    """Iterations in which matched poses are refined but no random, turned or flipped ones are tried: textures that mean
+    """Iterations in which first poses are refined but no random, turned or flipped ones are tried: textures that mean
     nothing yet would choose among them blindly."""
     exploration: ExplorationConfig
     loss: LossConfig
@@ -128,10 +128,10 @@ class FullTrainer:
         return {name: loss.item() for name, loss in losses.items()}
 
     def start_from(self, scenes: SceneGenerator) -> None:
-        """Learn to read the base shape's renderings, and record first poses by matching photographs with them."""
-        config, features = self.config, self.photographs.features
+        """Learn to read the base shape's renderings, and record first poses of the photographs from them."""
+        config, images = self.config, self.photographs.images
         warm_up(self.model, scenes, config.warm_up, self.rng)
-        poses = match_poses(self.model, scenes, self.extractor, features, config.matching, config.warm_up, self.rng)
+        poses = first_poses(self.model, scenes, self.extractor, images, config.first_poses, config.warm_up, self.rng)
         self.record = Record(poses, self.record.shape)
 
     def estimate(self, images: Float[Tensor, "B 3 H W"]) -> Estimate:

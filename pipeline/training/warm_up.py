@@ -58,13 +58,19 @@ def warm_up(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng:
         optimizer.step()
 
 
-@torch.no_grad()
 def draw_sample(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: torch.Generator) -> Sample:
-    """Render deformed base shapes with generated textures and backgrounds, random poses and lights."""
-    count = config.batch_size
+    """Render deformed base shapes from random poses."""
+    return render_sample(model, scenes, model.poses.draw(config.batch_size, rng), config, rng)
+
+
+@torch.no_grad()
+def render_sample(
+    model: FullModel, scenes: SceneGenerator, pose: Float[Tensor, "B 7"], config: WarmUpConfig, rng: torch.Generator
+) -> Sample:
+    """Render deformed base shapes with generated textures and backgrounds and random lights."""
+    count = len(pose)
     noise = scenes.sample_noise(count, rng)
     shape = model.shapes.draw(count, config.shape_spread, rng)
-    pose = model.poses.draw(count, rng)
     vertices = model.shapes(shape)
     images = render(
         Mesh(vertices, model.faces, model.directions),

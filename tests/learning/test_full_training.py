@@ -19,7 +19,7 @@ from tests.tiny_full_model import MODEL, TRAINING, base_mesh, photographs, tiny_
 
 SINGLE_STAGE = replace(TRAINING, model=replace(MODEL, two_stage=False))
 FINE_TUNING = FineTuneConfig(
-    None, 3, (0.5, 0.99), (0.1, 1.0, 2.0, 0.0), 3, PhaseConfig(4, 0.05), PhaseConfig(6, 0.02), PhaseConfig(6, 0.02)
+    None, 3, (0.5, 0.99), (0.1, 1.0, 2.0), 3, PhaseConfig(4, 0.05), PhaseConfig(6, 0.02), PhaseConfig(6, 0.02)
 )
 
 

@@ -86,8 +86,8 @@ def test_the_true_pose_wins_and_its_loss_is_zero() -> None:
 
 def test_comparison_sees_directions_of_features_and_weights_of_maps() -> None:
     pictures, weak = torch.rand(2, 3, 4, 4, generator=generator(0)), torch.rand(2, 8, 4, 4, generator=generator(1))
-    first = comparable([pictures, weak, weak], (0.5, 2.0, 0.0))
-    second = comparable([pictures, 3 * weak, 1 - weak], (0.5, 2.0, 0.0))
+    first = comparable([pictures, weak, weak], (0.5, 2.0))
+    second = comparable([pictures, 3 * weak, 1 - weak], (0.5, 2.0))
     assert len(first) == 2
     torch.testing.assert_close(first[0], 0.5 * pictures)
     torch.testing.assert_close(first[1].norm(dim=1), torch.full((2, 4, 4), 2.0))

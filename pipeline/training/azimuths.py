@@ -1,0 +1,197 @@
+"""Make votes for the azimuths of photographs consistent with each other (ours).
+
+A linear regression from features to azimuths, fitted to the votes on some photographs, judges the others, and its
+judgements replace the votes for a few rounds. Votes tell the axis of an object well and its front from its rear barely,
+and a regression that has to explain a faint signal takes what it finds: white cars drive forwards, dark ones away.
+Paint says nothing about the azimuth. So features are measured in units of how much repainting changes them, and
+opposite azimuths are given equally many photographs, of the same mean colours.
+
+Azimuths are bins of the circle: row i of `N azimuths` is a photograph's distribution over them.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn import functional
+
+from pipeline.networks.wide_resnet import FeatureExtractor
+
+AZIMUTHS = 72
+"""Bins; an even number, so that opposite azimuths are bins too."""
+_HARMONICS = 4
+_BALANCING_STEPS = 60
+_MAP_SIZE = 8
+_PROJECTION_ROUNDS = 4
+
+
+@dataclass(frozen=True)
+class ConsensusConfig:
+    """Settings of the consensus.
+
+    Attributes:
+        rounds: of regression; 0 keeps the votes.
+        components: principal components of the features that the regression sees.
+        repainting_floor: added to the variances under repainting, as a part of their mean.
+        ridge: penalty of the regression, as a part of a component's mean variance.
+        folds: parts of the photographs that are judged in turn by a regression fitted to the others.
+        sharpness: factor on standardised scores that makes them logarithms of probabilities.
+    """
+
+    rounds: int
+    components: int
+    repainting_floor: float
+    ridge: float
+    folds: int
+    sharpness: float
+
+
+@torch.no_grad()
+def agree_on_azimuths(
+    votes: Float[Tensor, "N azimuths"],
+    images: Float[Tensor, "N 3 H W"],
+    extractor: FeatureExtractor,
+    config: ConsensusConfig,
+    rng: torch.Generator,
+) -> Float[Tensor, "N azimuths"]:
+    """Return the probabilities of azimuths that follow from votes, given as logarithms, for mirror-symmetric objects.
+
+    `images` show the photographs cut to the object, so that a position means the same part in all of them.
+    """
+    colors = mean_colors(images)
+    probabilities = balance(config.sharpness * standardize(votes), colors)
+    if config.rounds == 0:
+        return probabilities
+    features = paintless_features(images, extractor, config, rng)
+    for _ in range(config.rounds):
+        scores = judge(features, probabilities, config, rng)
+        probabilities = balance(config.sharpness * standardize(scores), colors)
+    return probabilities
+
+
+def bins(device: torch.device) -> Float[Tensor, " azimuths"]:
+    """Return the azimuths of the bins in radians."""
+    return torch.arange(AZIMUTHS, device=device) * (2 * math.pi / AZIMUTHS)
+
+
+def mirrored(values: Float[Tensor, "... azimuths"]) -> Float[Tensor, "... azimuths"]:
+    """Return what belongs to the mirror images: the values at the negated azimuths."""
+    return values.flip(-1).roll(1, -1)
+
+
+def standardize(scores: Float[Tensor, "N azimuths"]) -> Float[Tensor, "N azimuths"]:
+    """Take off each photograph's mean and divide by the deviation of all."""
+    scores = scores - scores.mean(dim=1, keepdim=True)
+    return scores / scores.std()
+
+
+def balance(scores: Float[Tensor, "N azimuths"], colors: Float[Tensor, "N K"]) -> Float[Tensor, "N azimuths"]:
+    """Turn scores into probabilities whose photographs at opposite azimuths have equal numbers and mean colours.
+
+    How many there are of an axis is left to the scores: horses show their sides. Each azimuth's score gets an affine
+    function of the colours, found by Newton-like steps; those of opposite azimuths differ in sign.
+    """
+    colors = torch.cat([torch.ones_like(colors[:, :1]), colors], 1)
+    covariance = colors.T @ colors / len(colors)
+    correction = colors.new_zeros(colors.shape[1], scores.shape[1])
+    half_turn = scores.shape[1] // 2
+    for _ in range(_BALANCING_STEPS):
+        probabilities = (scores + colors @ correction).softmax(dim=1)
+        sums = colors.T @ probabilities / len(colors)
+        excess = (sums - sums.roll(half_turn, 1)) / 2
+        share = (sums[0] + sums[0].roll(half_turn)) / 2
+        step = torch.linalg.solve(covariance, excess) / share.clamp(min=0.3 / scores.shape[1])
+        correction = correction - (step + mirrored(step)) / 4
+    return (scores + colors @ correction).softmax(dim=1)
+
+
+def mean_colors(images: Float[Tensor, "N 3 H W"]) -> Float[Tensor, "N 9"]:
+    """Describe the paint: colours of the middle, their deviations and the colours of the border, whitened."""
+    size = images.shape[-1]
+    inner = slice(size // 4, size - size // 4)
+    middle = images[:, :, inner, inner].flatten(2)
+    border = images.flatten(2).mean(2) - middle.mean(2) / 4
+    colors = torch.cat([middle.mean(2), middle.std(2), border], 1)
+    colors = colors - colors.mean(dim=0)
+    directions = torch.linalg.svd(colors, full_matrices=False).U
+    return (directions * math.sqrt(len(colors))).clamp(-3, 3)
+
+
+def paintless_features(
+    images: Float[Tensor, "N 3 H W"], extractor: FeatureExtractor, config: ConsensusConfig, rng: torch.Generator
+) -> Float[Tensor, "2 N components"]:
+    """Return features of photographs and of their mirror images, whitened by how much repainting changes them."""
+    features = torch.stack([_flat_features(images, extractor), _flat_features(images.flip(-1), extractor)])
+    components = min(config.components, len(images) // 2)
+    features = features - features.mean(dim=(0, 1))
+    basis = _principal_directions(features.flatten(0, 1), components, rng)
+    change = _flat_features(repaint(images, rng), extractor) - _flat_features(repaint(images, rng), extractor)
+    change = change @ basis
+    covariance = change.T @ change / (2 * len(change))
+    floor = config.repainting_floor * covariance.trace() / components
+    values, vectors = torch.linalg.eigh(covariance + floor * torch.eye(components, device=images.device))
+    return features @ (basis @ (vectors * values.rsqrt()))
+
+
+def repaint(images: Float[Tensor, "N 3 H W"], rng: torch.Generator) -> Float[Tensor, "N 3 H W"]:
+    """Change gamma, contrast, brightness and saturation of pictures at random, and mix their channels."""
+
+    def normal(deviation: float, *shape: int) -> Tensor:
+        return deviation * torch.randn(len(images), *shape, generator=rng, device=images.device)
+
+    images = images.clamp(min=1e-3) ** normal(0.5, 1, 1, 1).exp()
+    mean = images.mean(dim=(1, 2, 3), keepdim=True)
+    images = mean + (images - mean) * normal(0.4, 1, 1, 1).exp() + normal(0.2, 1, 1, 1)
+    gray = images.mean(dim=1, keepdim=True)
+    images = gray + (images - gray) * normal(0.5, 1, 1, 1).exp()
+    mixing = torch.eye(3, device=images.device) + normal(0.25, 3, 3)
+    mixing = mixing / mixing.sum(dim=2, keepdim=True)
+    return torch.einsum("nij,njhw->nihw", mixing, images).clamp(0, 1)
+
+
+def judge(
+    features: Float[Tensor, "2 N components"],
+    probabilities: Float[Tensor, "N azimuths"],
+    config: ConsensusConfig,
+    rng: torch.Generator,
+) -> Float[Tensor, "N azimuths"]:
+    """Return scores of azimuths by ridge regressions fitted to the other folds.
+
+    Regressed are the first Fourier coefficients of the probabilities; a mirror image has those of the negated azimuth.
+    """
+    count = len(probabilities)
+    azimuths = bins(probabilities.device)[:, None] * torch.arange(1, _HARMONICS + 1, device=probabilities.device)
+    waves = torch.cat([azimuths.cos(), azimuths.sin()], 1)
+    targets = torch.stack([probabilities, mirrored(probabilities)]) @ waves
+    penalty = config.ridge * features.var() * torch.eye(features.shape[2], device=features.device)
+    fold = torch.randperm(count, generator=rng, device=rng.device) % config.folds
+    scores = torch.zeros_like(probabilities)
+    for held_out in range(config.folds):
+        seen, judged = features[:, fold != held_out].flatten(0, 1), features[:, fold == held_out]
+        wanted = targets[:, fold != held_out].flatten(0, 1)
+        weights = torch.linalg.solve(seen.T @ seen / len(seen) + penalty, seen.T @ wanted / len(seen))
+        here, there = judged @ weights @ waves.T
+        scores[fold == held_out] = here + mirrored(there)
+    return scores
+
+
+def _flat_features(images: Float[Tensor, "N 3 H W"], extractor: FeatureExtractor) -> Float[Tensor, "N D"]:
+    """Return directions of the second and the third feature maps, averaged over a grid: the others are paint."""
+    flat = []
+    for batch in images.split(250):
+        maps = [functional.normalize(layer, dim=1) for layer in extractor(batch)[2:]]
+        flat.append(torch.cat([functional.adaptive_avg_pool2d(layer, _MAP_SIZE).flatten(1) for layer in maps], 1))
+    return torch.cat(flat)
+
+
+def _principal_directions(
+    centered: Float[Tensor, "N D"], count: int, rng: torch.Generator
+) -> Float[Tensor, "D components"]:
+    """Return the leading right singular vectors by subspace iteration, from the generator's random start."""
+    start = torch.randn(centered.shape[1], count, generator=rng, device=rng.device)
+    directions = torch.linalg.qr(start).Q
+    for _ in range(_PROJECTION_ROUNDS):
+        directions = torch.linalg.qr(centered.T @ (centered @ directions)).Q
+    return directions

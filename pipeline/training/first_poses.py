@@ -1,0 +1,146 @@
+"""First poses of photographs, before full training (ours).
+
+The best pose of a photograph cannot be found by rendering while its texture is unknown. But base-shape learning leaves
+a generator of such textures: a photograph resembles renderings from its own side more than others, whatever their
+paint. Photographs and renderings are cut to the object's box, and renderings vote for their azimuths on the
+photographs that resemble them. Renderings that resemble every photograph say nothing, so each one's mean distance is
+taken off first. `azimuths` then makes the votes consistent.
+"""
+
+from dataclasses import dataclass, replace
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+from torch.nn import functional
+
+from pipeline.losses.image_distance import pairwise_feature_distance
+from pipeline.networks.full_model import FullModel
+from pipeline.networks.pose_coordinates import PoseCoordinates
+from pipeline.networks.scene_generator import SceneGenerator
+from pipeline.networks.wide_resnet import FeatureExtractor, extract
+from pipeline.training.azimuths import ConsensusConfig, agree_on_azimuths, bins
+from pipeline.training.warm_up import WarmUpConfig, render_sample
+
+_CHUNK = 250
+
+
+@dataclass(frozen=True)
+class FirstPosesConfig:
+    """Settings of the first poses.
+
+    Attributes:
+        renderings: how many renderings each photograph is compared with.
+        pose_reach: part of the ranges of roll and box that they cover: few photographs are at the ends.
+        shape_spread: standard deviation of their shapes around the base shape, in shape parameters.
+        box_jitter: standard deviation of errors put on their boxes, in pose coordinates: photographs' are estimates.
+        box_size: longer side of the box over the side of a cut picture.
+        temperature: of the vote, in standard deviations of a photograph's distances; small ones let the nearest decide.
+        concentration: of the votes' kernel over azimuths (von Mises); 20 is about 13 degrees wide.
+    """
+
+    renderings: int
+    pose_reach: float
+    shape_spread: float
+    box_jitter: float
+    box_size: float
+    temperature: float
+    concentration: float
+    consensus: ConsensusConfig
+
+
+@torch.no_grad()
+def first_poses(
+    model: FullModel,
+    scenes: SceneGenerator,
+    extractor: FeatureExtractor,
+    photographs: UInt8[Tensor, "N 3 H W"],
+    config: FirstPosesConfig,
+    warm_up: WarmUpConfig,
+    rng: torch.Generator,
+) -> Float[Tensor, "N 7"]:
+    """Return pose coordinates of photographs of mirror-symmetric objects.
+
+    Where the objects are is what the model's student, warmed up on renderings, says; elevation and roll are those of
+    the renderings that vote for the azimuth.
+    """
+    images = photographs.float() / 255
+    estimated = estimate_boxes(model, images)
+    cuts = cut_to_box(images, model.poses, estimated, config.box_size)
+    rendered, poses = _renderings(model, scenes, config, warm_up, rng)
+    votes = count_votes(_distances(cuts, rendered, extractor), config.temperature)
+    kernel = _kernel(poses, config.concentration)
+    by_azimuth = ((votes @ kernel) / kernel.sum(dim=0)).log()
+    winner = agree_on_azimuths(by_azimuth, cuts, extractor, config.consensus, rng).argmax(dim=1)
+    near = votes * kernel.T[winner]
+    elevation_and_roll = (near @ poses[:, 2:4]) / near.sum(dim=1, keepdim=True)
+    azimuth = bins(images.device)[winner, None]
+    return torch.cat([azimuth.cos(), azimuth.sin(), elevation_and_roll, estimated[:, 4:]], 1)
+
+
+@torch.no_grad()
+def estimate_boxes(model: FullModel, images: Float[Tensor, "N 3 H W"]) -> Float[Tensor, "N 7"]:
+    """Return the student's pose coordinates, averaged with what it says of the mirror image."""
+    estimates = []
+    for batch in images.split(_CHUNK):
+        here, there = model.pose_decoder(model.pose_encoder(torch.cat([batch, batch.flip(-1)]))).chunk(2)
+        estimates.append((here + model.poses.mirror(there)) / 2)
+    return model.poses.clamp(torch.cat(estimates))
+
+
+def cut_to_box(
+    images: Float[Tensor, "N 3 H W"], poses: PoseCoordinates, coordinates: Float[Tensor, "N 7"], box_size: float
+) -> Float[Tensor, "N 3 H W"]:
+    """Cut pictures so that the object's box stands in the middle, its longer side `box_size` of the picture's.
+
+    What lies outside the picture is its reflection.
+    """
+    center, extent = poses.box(coordinates)
+    zoom = (extent / box_size)[:, None, None] * torch.eye(2, device=images.device)
+    shift = center * center.new_tensor([1.0, -1.0])  # ndc is y up, grids are y down
+    grid = functional.affine_grid(torch.cat([zoom, shift[:, :, None]], 2), list(images.shape), align_corners=False)
+    return functional.grid_sample(images, grid, padding_mode="reflection", align_corners=False)
+
+
+def count_votes(distances: Float[Tensor, "N K"], temperature: float) -> Float[Tensor, "N K"]:
+    """Return how much each rendering counts for each photograph; a photograph's votes add up to 1."""
+    distances = distances - distances.mean(dim=0)
+    distances = (distances - distances.mean(dim=1, keepdim=True)) / distances.std(dim=1, keepdim=True)
+    return (-distances / temperature).softmax(dim=1)
+
+
+def _renderings(
+    model: FullModel, scenes: SceneGenerator, config: FirstPosesConfig, warm_up: WarmUpConfig, rng: torch.Generator
+) -> tuple[Float[Tensor, "K 3 H W"], Float[Tensor, "K 7"]]:
+    """Render the base shape from everywhere, cut to boxes that are as wrong as those of photographs."""
+    clean = replace(warm_up, noise=0.0, shape_spread=config.shape_spread)
+    poses = model.poses.draw(config.renderings, rng)
+    poses[:, 3:] *= config.pose_reach
+    batches = [render_sample(model, scenes, batch, clean, rng) for batch in poses.split(_CHUNK)]
+    images = torch.cat([batch.images for batch in batches])
+    error = config.box_jitter * torch.randn(len(poses), 3, generator=rng, device=rng.device)
+    boxes = torch.cat([poses[:, :4], poses[:, 4:] + error], 1)
+    return cut_to_box(images, model.poses, boxes, config.box_size), poses
+
+
+def _distances(
+    photographs: Float[Tensor, "N 3 H W"], rendered: Float[Tensor, "K 3 H W"], extractor: FeatureExtractor
+) -> Float[Tensor, "N K"]:
+    """Compare photographs with renderings, and their mirror images, by directions of the deeper features."""
+    total = torch.zeros(len(photographs), len(rendered), device=photographs.device)
+    for flip in ([], [-1]):
+        ours, theirs = (_directions(images.flip(flip), extractor) for images in (photographs, rendered))
+        for start in range(0, len(photographs), _CHUNK):
+            rows = slice(start, start + _CHUNK)
+            total[rows] += pairwise_feature_distance([layer[rows] for layer in ours], theirs)
+    return total
+
+
+def _directions(images: Float[Tensor, "N 3 H W"], extractor: FeatureExtractor) -> list[Float[Tensor, "N _ _ _"]]:
+    """Scale the feature vectors of the second and third maps to length 1: colours and edges are paint."""
+    return [functional.normalize(layer.float(), dim=1).half() for layer in extract(extractor, images, _CHUNK)[2:]]
+
+
+def _kernel(poses: Float[Tensor, "K 7"], concentration: float) -> Float[Tensor, "K azimuths"]:
+    turns = bins(poses.device)
+    return ((poses[:, :2] @ torch.stack([turns.cos(), turns.sin()]) - 1) * concentration).exp()
