@@ -4,7 +4,8 @@ A linear regression from features to azimuths, fitted to the votes on some photo
 judgements replace the votes for a few rounds. Votes tell the axis of an object well and its front from its rear barely,
 and a regression that has to explain a faint signal takes what it finds: white cars drive forwards, dark ones away.
 Paint says nothing about the azimuth. So features are measured in units of how much repainting changes them, and
-opposite azimuths are given equally many photographs, of the same mean colours.
+opposite azimuths are given equally many photographs, of the same mean colours. How many there are of an axis is what the votes
+say (horses show their sides); were it free, azimuths would gather in clusters from round to round.
 
 Azimuths are bins of the circle: row i of `N azimuths` is a photograph's distribution over them.
 """
@@ -60,14 +61,15 @@ def agree_on_azimuths(
 
     `images` show the photographs cut to the object, so that a position means the same part in all of them.
     """
-    colors = mean_colors(images)
-    probabilities = balance(config.sharpness * standardize(votes), colors)
+    colors, scores = mean_colors(images), config.sharpness * standardize(votes)
+    share = symmetric_share(scores)
+    probabilities = balance(scores, colors, share)
     if config.rounds == 0:
         return probabilities
     features = paintless_features(images, extractor, config, rng)
     for _ in range(config.rounds):
-        scores = judge(features, probabilities, config, rng)
-        probabilities = balance(config.sharpness * standardize(scores), colors)
+        scores = config.sharpness * standardize(judge(features, probabilities, config, rng))
+        probabilities = balance(scores, colors, share)
     return probabilities
 
 
@@ -87,22 +89,29 @@ def standardize(scores: Float[Tensor, "N azimuths"]) -> Float[Tensor, "N azimuth
     return scores / scores.std()
 
 
-def balance(scores: Float[Tensor, "N azimuths"], colors: Float[Tensor, "N K"]) -> Float[Tensor, "N azimuths"]:
-    """Turn scores into probabilities whose photographs at opposite azimuths have equal numbers and mean colours.
+def symmetric_share(scores: Float[Tensor, "N azimuths"]) -> Float[Tensor, " azimuths"]:
+    """Return how many photographs the scores give each azimuth, averaged over opposite and mirrored ones."""
+    share = scores.softmax(dim=1).mean(dim=0)
+    share = share + share.roll(len(share) // 2)
+    return (share + mirrored(share)) / 4
 
-    How many there are of an axis is left to the scores: horses show their sides. Each azimuth's score gets an affine
-    function of the colours, found by Newton-like steps; those of opposite azimuths differ in sign.
+
+def balance(
+    scores: Float[Tensor, "N azimuths"], colors: Float[Tensor, "N K"], share: Float[Tensor, " azimuths"]
+) -> Float[Tensor, "N azimuths"]:
+    """Turn scores into probabilities that give azimuths their shares, and opposite azimuths the same mean colours.
+
+    Each azimuth's score gets an affine function of the colours, found by Newton-like steps.
     """
     colors = torch.cat([torch.ones_like(colors[:, :1]), colors], 1)
     covariance = colors.T @ colors / len(colors)
     correction = colors.new_zeros(colors.shape[1], scores.shape[1])
-    half_turn = scores.shape[1] // 2
     for _ in range(_BALANCING_STEPS):
         probabilities = (scores + colors @ correction).softmax(dim=1)
         sums = colors.T @ probabilities / len(colors)
-        excess = (sums - sums.roll(half_turn, 1)) / 2
-        share = (sums[0] + sums[0].roll(half_turn)) / 2
-        step = torch.linalg.solve(covariance, excess) / share.clamp(min=0.3 / scores.shape[1])
+        excess = (sums - sums.roll(len(share) // 2, 1)) / 2
+        excess[0] = sums[0] - share
+        step = torch.linalg.solve(covariance, excess) / share
         correction = correction - (step + mirrored(step)) / 4
     return (scores + colors @ correction).softmax(dim=1)
 

@@ -1,0 +1,149 @@
+"""Azimuths that votes agree on."""
+
+import math
+
+import torch
+from torch import Tensor
+
+from pipeline.seeding import generator
+from pipeline.training.azimuths import (
+    AZIMUTHS,
+    ConsensusConfig,
+    agree_on_azimuths,
+    balance,
+    bins,
+    judge,
+    mean_colors,
+    mirrored,
+    paintless_features,
+    repaint,
+    standardize,
+    symmetric_share,
+)
+from tests.tiny_full_model import photographs, tiny_extractor
+
+CONFIG = ConsensusConfig(rounds=4, components=32, repainting_floor=0.3, ridge=0.01, folds=5, sharpness=3.0)
+COUNT = 400
+NOISE = 0.1
+
+
+def azimuths_of(count: int) -> Tensor:
+    return 2 * math.pi * torch.rand(count, generator=generator(0))
+
+
+def votes_for(azimuths: Tensor) -> Tensor:
+    return 2 * torch.cos(azimuths[:, None] - bins(azimuths.device)) + torch.cos(
+        2 * (azimuths[:, None] - bins(azimuths.device))
+    )
+
+
+def features_of(azimuths: Tensor, paint: Tensor) -> Tensor:
+    """Encode the azimuth faintly and the paint strongly in 12 features of pictures and of their mirror images."""
+    mixing = torch.randn(5, 12, generator=generator(1))
+
+    def encode(azimuths: Tensor) -> Tensor:
+        clean = torch.stack([azimuths.cos(), azimuths.sin(), (2 * azimuths).cos(), (2 * azimuths).sin(), 3 * paint], 1)
+        return clean @ mixing + NOISE * torch.randn(len(azimuths), 12, generator=generator(2))
+
+    return torch.stack([encode(azimuths), encode(-azimuths)])
+
+
+def after_rounds(votes: Tensor, features: Tensor, colors: Tensor, rounds: int) -> Tensor:
+    scores = CONFIG.sharpness * standardize(votes)
+    share = symmetric_share(scores)
+    probabilities = balance(scores, colors, share)
+    for index in range(rounds):
+        scores = CONFIG.sharpness * standardize(judge(features, probabilities, CONFIG, generator(6 + index)))
+        probabilities = balance(scores, colors, share)
+    return probabilities
+
+
+def share_right(probabilities: Tensor, azimuths: Tensor) -> float:
+    found = bins(azimuths.device)[probabilities.argmax(dim=1)]
+    return (torch.cos(found - azimuths) > math.cos(math.pi / 6)).float().mean().item()
+
+
+def test_mirrored_takes_the_negated_azimuth() -> None:
+    values = torch.cos(bins(torch.device("cpu")) - 0.7)
+    torch.testing.assert_close(mirrored(values), torch.cos(bins(torch.device("cpu")) + 0.7))
+    torch.testing.assert_close(mirrored(mirrored(values)), values)
+
+
+def test_balance_gives_opposite_azimuths_photographs_of_the_same_number_and_colours() -> None:
+    azimuths = azimuths_of(COUNT)
+    colors = torch.randn(COUNT, 2, generator=generator(3))
+    light_ones_drive_forwards = 2 * colors[:, :1] * torch.cos(bins(colors.device)) + 0.5 * torch.cos(
+        bins(colors.device)
+    )
+    scores = votes_for(azimuths) + light_ones_drive_forwards
+    probabilities = balance(scores, colors, symmetric_share(scores))
+    torch.testing.assert_close(probabilities.sum(dim=1), torch.ones(COUNT))
+    sums = torch.cat([torch.ones(COUNT, 1), colors], 1).T @ probabilities / COUNT
+    before = torch.cat([torch.ones(COUNT, 1), colors], 1).T @ scores.softmax(dim=1) / COUNT
+
+    def excess(sums: Tensor) -> Tensor:
+        forwards = torch.cos(bins(sums.device)) > 1e-4
+        backwards = forwards.roll(AZIMUTHS // 2)
+        return (sums[:, forwards].sum(dim=1) - sums[:, backwards].sum(dim=1)).abs()
+
+    assert (excess(before) > 0.2).any()
+    assert (excess(sums) < 0.02).all()
+
+
+def test_judging_repairs_votes_that_confuse_front_and_rear() -> None:
+    azimuths = azimuths_of(COUNT)
+    reversed_ones = torch.rand(COUNT, generator=generator(4)) < 0.35
+    votes = votes_for(azimuths + math.pi * reversed_ones)
+    features = features_of(azimuths, torch.zeros(COUNT))
+    colors = torch.randn(COUNT, 1, generator=generator(5))
+    assert share_right(after_rounds(votes, features, colors, 0), azimuths) < 0.7
+    assert share_right(after_rounds(votes, features, colors, 2), azimuths) > 0.95
+    assert share_right(after_rounds(votes, features, colors, 12), azimuths) > 0.95
+
+
+def test_paint_does_not_decide_which_end_is_the_front() -> None:
+    azimuths = azimuths_of(COUNT)
+    paint = torch.randn(COUNT, generator=generator(7))
+    reversed_ones = torch.rand(COUNT, generator=generator(4)) < torch.sigmoid(3 * paint - 0.6)
+    votes = votes_for(azimuths + math.pi * reversed_ones)
+    features = features_of(azimuths, paint)
+
+    one_round_blind_to_paint = after_rounds(votes, features, torch.randn(COUNT, 1, generator=generator(5)), 1)
+    one_round = after_rounds(votes, features, paint[:, None], 1)
+    assert share_right(one_round, azimuths) > share_right(one_round_blind_to_paint, azimuths) + 0.05
+    assert share_right(after_rounds(votes, features, paint[:, None], 3), azimuths) > 0.95
+
+
+def test_features_in_units_of_repainting_tell_azimuths_better_than_paint() -> None:
+    images, _ = photographs(24)
+    pictures, extractor = images.float() / 255, tiny_extractor()
+    repainted = torch.cat([repaint(pictures, generator(1)), repaint(pictures, generator(2))])
+
+    def share_of_paint(floor: float) -> float:
+        config = ConsensusConfig(1, 8, floor, 0.3, 2, 3.0)
+        features = paintless_features(repainted, extractor, config, generator(3))[0].unflatten(0, (2, 24))
+        return ((features[0] - features[1]).square().mean() / features.var()).item()
+
+    assert share_of_paint(0.01) < share_of_paint(1e4)
+
+
+def test_colours_are_whitened_and_the_same_in_mirror_images() -> None:
+    pictures = torch.rand(64, 3, 16, 16, generator=generator(1))
+    colors = mean_colors(pictures)
+    assert colors.shape == (64, 9)
+    assert (colors.mean(dim=0).abs() < 0.2).all()
+    assert (mean_colors(pictures.flip(-1)).abs() - colors.abs()).abs().max() < 1e-2
+
+
+def test_votes_stay_where_there_are_no_rounds_and_repeat_for_a_seed() -> None:
+    images, coordinates = photographs(12)
+    votes = votes_for(torch.atan2(coordinates[:, 1], coordinates[:, 0]))
+    pictures, extractor = images.float() / 255, tiny_extractor()
+
+    def agree(rounds: int) -> Tensor:
+        config = ConsensusConfig(rounds, 4, 0.3, 0.3, 3, 3.0)
+        return agree_on_azimuths(votes, pictures, extractor, config, generator(8))
+
+    assert agree(0).shape == (12, AZIMUTHS)
+    assert torch.equal(agree(2), agree(2))
+    assert not torch.equal(agree(2), agree(0))
