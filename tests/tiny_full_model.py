@@ -80,9 +80,14 @@ def tiny_extractor() -> FeatureExtractor:
 
 
 def photographs(count: int) -> tuple[UInt8[Tensor, "N 3 32 32"], Float[Tensor, "N 7"]]:
-    """Render the base mesh, front red and rear blue, at random poses; return pictures and pose coordinates."""
-    model, rng = tiny_model(), generator(2)
-    coordinates = model.poses.draw(count, rng)
+    """Photograph the base mesh at random poses; return pictures and pose coordinates."""
+    coordinates = tiny_model().poses.draw(count, generator(2))
+    return photographs_of(coordinates), coordinates
+
+
+def photographs_of(coordinates: Float[Tensor, "N 7"]) -> UInt8[Tensor, "N 3 32 32"]:
+    """Render the base mesh, front red and rear blue, at poses."""
+    model, count = tiny_model(), len(coordinates)
     vertices = model.base_vertices.expand(count, -1, -1)
     columns = torch.linspace(0, 1, 32)
     front = 1 - (2 * columns - 1).abs()
@@ -95,7 +100,7 @@ def photographs(count: int) -> tuple[UInt8[Tensor, "N 3 32 32"], Float[Tensor, "
             torch.full((count, 3, 32, 32), 0.8),
         )
     )
-    return (pictures.clamp(0, 1) * 255).round().to(torch.uint8), coordinates
+    return (pictures.clamp(0, 1) * 255).round().to(torch.uint8)
 
 
 def tiny_scenes() -> SceneGenerator:

@@ -4,8 +4,8 @@ A linear regression from features to azimuths, fitted to the votes on some photo
 judgements replace the votes for a few rounds. Votes tell the axis of an object well and its front from its rear barely,
 and a regression that has to explain a faint signal takes what it finds: white cars drive forwards, dark ones away.
 Paint says nothing about the azimuth. So features are measured in units of how much repainting changes them, and
-opposite azimuths are given equally many photographs, of the same mean colours. How many there are of an axis is what the votes
-say (horses show their sides); were it free, azimuths would gather in clusters from round to round.
+opposite azimuths are given equally many photographs, of the same mean colours. How many there are of an axis is
+what the votes say (horses show their sides); were it free, azimuths would gather in clusters from round to round.
 
 Azimuths are bins of the circle: row i of `N azimuths` is a photograph's distribution over them.
 """

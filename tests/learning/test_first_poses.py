@@ -3,13 +3,26 @@
 import math
 from dataclasses import replace
 
+import pytest
 import torch
+from torch import Tensor
 
-from pipeline.networks.pose_coordinates import PoseRange
 from pipeline.seeding import generator
-from pipeline.training.first_poses import FirstPosesConfig, count_votes, cut_to_box, estimate_boxes, first_poses
-from pipeline.training.warm_up import draw_sample
-from tests.tiny_full_model import TRAINING, photographs, tiny_extractor, tiny_model, tiny_scenes
+from pipeline.training.azimuths import ConsensusConfig
+from pipeline.training.first_poses import FirstPosesConfig, count_votes, cut_to_box, first_poses
+from pipeline.training.warm_up import warm_up
+from tests.tiny_full_model import TRAINING, photographs, photographs_of, tiny_extractor, tiny_model, tiny_scenes
+
+CONFIG = FirstPosesConfig(
+    renderings=512,
+    pose_reach=0.35,
+    shape_spread=0.15,
+    box_jitter=0.15,
+    box_size=0.85,
+    temperature=1.0,
+    concentration=20.0,
+    consensus=ConsensusConfig(3, 64, 0.3, 0.3, 5, 3.0),
+)
 
 
 def test_votes_follow_the_nearest_and_forgive_hubs() -> None:
@@ -25,15 +38,32 @@ def test_votes_follow_the_nearest_and_forgive_hubs() -> None:
 
 def test_objects_are_cut_to_the_middle_at_one_size() -> None:
     model = tiny_model()
-    images, coordinates = photographs(100)
-    center, extent = model.poses.box(coordinates)
-    inside = extent / 0.8 + center.abs().amax(dim=1) < 1
-    assert inside.sum() >= 4
-    cuts = cut_to_box(images[inside].float() / 255, model.poses, coordinates[inside], 0.8)
-    objects = (cuts - 0.8).abs().amax(dim=1) > 0.1
-    for covered in objects:
+    _, coordinates = photographs(8)
+    coordinates[:, 6] = -1.0
+    cuts = cut_to_box(photographs_of(coordinates).float() / 255, model.poses, coordinates, 0.9)
+    for covered in (cuts - 0.8).abs().amax(dim=1) > 0.1:
         rows, columns = covered.any(dim=1).nonzero()[:, 0], covered.any(dim=0).nonzero()[:, 0]
         height, width = rows.max() - rows.min() + 1, columns.max() - columns.min() + 1
-        assert abs(max(height, width) - 0.8 * 32) <= 2.5
+        assert abs(max(height, width) - 0.9 * 32) <= 2.5
         assert abs(rows.max() + rows.min() - 31) <= 2.5
         assert abs(columns.max() + columns.min() - 31) <= 2.5
+
+
+@pytest.mark.slow
+def test_votes_find_the_axis_and_their_consensus_the_front() -> None:
+    model, scenes, extractor = tiny_model(), tiny_scenes(), tiny_extractor()
+    images, coordinates = photographs(300)
+    warm_up_config = replace(TRAINING.warm_up, iterations=100, batch_size=16, learning_rate=3e-3)
+    warm_up(model, scenes, warm_up_config, generator(0))
+
+    def cosines(rounds: int) -> Tensor:
+        config = replace(CONFIG, consensus=replace(CONFIG.consensus, rounds=rounds))
+        poses = first_poses(model, scenes, extractor, images, config, warm_up_config, generator(1))
+        assert poses.shape == coordinates.shape
+        return (poses[:, :2] * coordinates[:, :2]).sum(dim=1)
+
+    votes, consensus = cosines(0), cosines(3)
+    within_30_degrees = math.cos(math.pi / 6)
+    assert (consensus.abs() > within_30_degrees).float().mean() > 0.75  # chance: 1/3
+    assert (consensus > within_30_degrees).float().mean() > 0.45  # chance: 1/6
+    assert (consensus > within_30_degrees).float().mean() > (votes > within_30_degrees).float().mean()
