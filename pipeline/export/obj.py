@@ -12,12 +12,12 @@ from pipeline.files import atomic_path
 
 
 def write_obj(path: Path, mesh: UnwrappedMesh, texture: Float[Tensor, "3 T T"]) -> None:
-    """Write `path` and beside it a material and a PNG of the same name.
+    """Write `path` and beside it a material and `*_texture.png`.
 
     Axes are the project's: y up, front towards +z. The material is unlit, for the texture holds the shading. Files are
     written one after the other, the mesh that names the others last, each atomically.
     """
-    material, picture = path.with_suffix(".mtl"), path.with_suffix(".png")
+    material, picture = path.with_suffix(".mtl"), path.with_name(f"{path.stem}_texture.png")
     write_png(picture, texture)
     _write_lines(material, ["newmtl texture", "illum 0", "Ka 1 1 1", "Kd 1 1 1", f"map_Kd {picture.name}"])
     uv = mesh.uv * mesh.uv.new_tensor([1.0, -1.0]) + mesh.uv.new_tensor([0.0, 1.0])

@@ -112,8 +112,8 @@ def test_files_are_the_same_every_time_and_name_each_other(tmp_path: Path) -> No
         folder.mkdir()
         write_obj(folder / "shape.obj", mesh, smooth_texture())
         write_glb(folder / "shape.glb", mesh, smooth_texture())
-    names = ["shape.glb", "shape.mtl", "shape.obj", "shape.png"]
+    names = ["shape.glb", "shape.mtl", "shape.obj", "shape_texture.png"]
     assert sorted(path.name for path in (tmp_path / "first").iterdir()) == names
     assert all((tmp_path / "first" / name).read_bytes() == (tmp_path / "second" / name).read_bytes() for name in names)
     assert "mtllib shape.mtl" in (tmp_path / "first" / "shape.obj").read_text()
-    assert "map_Kd shape.png" in (tmp_path / "first" / "shape.mtl").read_text()
+    assert "map_Kd shape_texture.png" in (tmp_path / "first" / "shape.mtl").read_text()

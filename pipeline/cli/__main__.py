@@ -1,0 +1,73 @@
+"""The command line: `kato3d reconstruct`, `kato3d view` and `kato3d doctor`."""
+
+import sys
+import webbrowser
+from argparse import ArgumentParser, Namespace
+from collections.abc import Sequence
+from pathlib import Path
+
+from pipeline.errors import UserError
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Run a command; an error of the user is one sentence, without a traceback, and exits with status 1."""
+    arguments = _parser().parse_args(words)
+    try:
+        arguments.command(arguments)
+    except UserError as error:
+        sys.exit(f"error: {error}")
+
+
+def _parser() -> ArgumentParser:
+    parser = ArgumentParser("kato3d", description="Single photographs to textured meshes, with a trained model.")
+    parser.add_argument("--project", type=Path, default=Path(), help="folder of params.yaml; default: this one")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    reconstruct = commands.add_parser("reconstruct", help="turn photographs into meshes")
+    reconstruct.add_argument("photographs", type=Path, nargs="+", metavar="PHOTO")
+    reconstruct.add_argument("--run", help="whose model; default: the first of params.yaml")
+    reconstruct.add_argument("--out", type=Path, required=True, help="folder to write to")
+    reconstruct.add_argument("--fine-tune", action="store_true", help="fit background, pose and shape to each")
+    reconstruct.set_defaults(command=_reconstruct)
+    view = commands.add_parser("view", help="open the page of a run")
+    view.add_argument("--run", help="default: the first of params.yaml")
+    view.set_defaults(command=_view)
+    doctor = commands.add_parser("doctor", help="say what is installed and found, and what is missing")
+    doctor.set_defaults(command=_doctor)
+    return parser
+
+
+# Commands import what they need: PyTorch alone takes seconds.
+
+
+def _reconstruct(arguments: Namespace) -> None:
+    from pipeline.cli.reconstruct import reconstruct
+    from pipeline.cli.runs import find_run
+    from pipeline.config import scalar
+    from pipeline.device import resolve_device
+
+    run = find_run(arguments.project, arguments.run)
+    device = resolve_device(scalar(run.params, "device"))
+    reconstruct(arguments.photographs, run, arguments.out, arguments.fine_tune, device)
+    print(f"{len(arguments.photographs)} written to {arguments.out}")
+
+
+def _view(arguments: Namespace) -> None:
+    from pipeline.cli.runs import find_run
+
+    page = find_run(arguments.project, arguments.run).page.resolve()
+    if not webbrowser.open(page.as_uri()):
+        print(f"open {page}")
+
+
+def _doctor(arguments: Namespace) -> None:
+    from pipeline.cli.doctor import findings
+
+    lines = list(findings(arguments.project))
+    for found, what, advice in lines:
+        print(f"{'ok     ' if found else 'MISSING'} {what}" + (f": {advice}" if advice else ""))
+    if not all(line.found for line in lines):
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,78 @@
+"""What is installed, which device, which data and which results are there, and how to get what is missing."""
+
+import platform
+from collections.abc import Iterator
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from packaging.requirements import Requirement
+
+from pipeline.cli.runs import find_run
+from pipeline.config import scalar
+from pipeline.device import resolve_device
+from pipeline.errors import UserError
+
+EXTRAS = ("", "pipeline")
+
+
+class Finding(NamedTuple):
+    """One line of the doctor's report."""
+
+    found: bool
+    what: str
+    advice: str
+
+
+def findings(project: Path) -> Iterator[Finding]:
+    """Look at packages, the device, the data and the runs of a project."""
+    yield Finding(True, f"Python {platform.python_version()}", "")
+    yield from packages()
+    yield device(project)
+    yield from data(project)
+    yield from runs(project)
+
+
+def packages() -> Iterator[Finding]:
+    """Compare what the project requires with what is installed."""
+    for text in requires("kato3d") or []:
+        requirement = Requirement(text)
+        if not any(requirement.marker is None or requirement.marker.evaluate({"extra": extra}) for extra in EXTRAS):
+            continue
+        try:
+            installed = version(requirement.name)
+        except PackageNotFoundError:
+            yield Finding(False, requirement.name, "install it with `make .venv/.installed`")
+            continue
+        right = requirement.specifier.contains(installed, prereleases=True)
+        yield Finding(right, f"{requirement.name} {installed}", "" if right else f"needs {requirement.specifier}")
+
+
+def device(project: Path) -> Finding:
+    """Say where computations run."""
+    try:
+        chosen = resolve_device(scalar(project / "params.yaml", "device"))
+    except UserError as error:
+        return Finding(False, "device", str(error))
+    name = torch.cuda.get_device_name(chosen) if chosen.type == "cuda" else f"{torch.get_num_threads()} threads"
+    return Finding(True, f"device {chosen} ({name})", "")
+
+
+def data(project: Path) -> Iterator[Finding]:
+    """Look for the sources of the datasets that are on."""
+    for name, dataset in scalar(project / "params.yaml", "datasets").items():
+        source = project / Path(dataset["source"]).expanduser()
+        advice = "" if source.exists() else "name its folder or archive with `make run ... SOURCE=...`"
+        yield Finding(source.exists(), f"photographs of '{name}' in {dataset['source']}", advice)
+
+
+def runs(project: Path) -> Iterator[Finding]:
+    """Look for the trained model and the page of every run."""
+    for name in scalar(project / "params.yaml", "runs"):
+        run = find_run(project, name)
+        for what in ("model", "page"):
+            try:
+                yield Finding(True, f"{what} of '{name}': {getattr(run, what)}", "")
+            except UserError as error:
+                yield Finding(False, f"{what} of '{name}'", str(error))

@@ -1,0 +1,57 @@
+"""Where the artifacts of a run lie; dvc.yaml writes them there."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.config import scalar
+from pipeline.errors import ConfigError, DataError
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run of params.yaml in a project's folder."""
+
+    project: Path
+    name: str
+    size: str
+    features_name: str
+
+    @property
+    def params(self) -> Path:
+        """The parameter file."""
+        return self.project / "params.yaml"
+
+    @property
+    def model(self) -> Path:
+        """The trained full model. Raises DataError where it has not been trained."""
+        return self._written(self.project / "models" / "full" / f"{self.name}.safetensors", "train_full")
+
+    @property
+    def features(self) -> Path:
+        """The feature extractor. Raises DataError where it has not been trained."""
+        path = self.project / "models" / "features" / f"{self.features_name}.safetensors"
+        return self._written(path, "train_full")
+
+    @property
+    def page(self) -> Path:
+        """The report's page. Raises DataError where it has not been written."""
+        return self._written(self.project / "results" / "report" / self.name / "index.html", "report")
+
+    def _written(self, path: Path, stage: str) -> Path:
+        if not path.is_file():
+            raise DataError(f"{path} does not exist; make it with `dvc repro {stage}@{self.name}`")
+        return path
+
+
+def find_run(project: Path, name: str | None) -> Run:
+    """Return a run of the project's params.yaml, the first one where no name is given.
+
+    Raises ConfigError for a name that is not there, with the nearest one that is.
+    """
+    params = project / "params.yaml"
+    runs = scalar(params, "runs")
+    if not runs:
+        raise ConfigError(f"{params} has no runs; add one with `make run ROW=...`")
+    name = name if name is not None else next(iter(runs))
+    scalar(params, f"runs.{name}")
+    return Run(project, name, runs[name]["size"], runs[name]["features"])
