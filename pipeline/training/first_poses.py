@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional
+from tqdm import tqdm
 
 from pipeline.losses.image_distance import pairwise_feature_distance
 from pipeline.networks.full_model import FullModel
@@ -37,6 +38,7 @@ class FirstPosesConfig:
         box_size: longer side of the box over the side of a cut picture.
         temperature: of the vote, in standard deviations of a photograph's distances; small ones let the nearest decide.
         concentration: of the votes' kernel over azimuths (von Mises); 20 is about 13 degrees wide.
+        lessons: iterations in which the pose networks learn to read the first poses off the photographs.
     """
 
     renderings: int
@@ -47,6 +49,7 @@ class FirstPosesConfig:
     temperature: float
     concentration: float
     consensus: ConsensusConfig
+    lessons: int
 
 
 @torch.no_grad()
@@ -76,6 +79,32 @@ def first_poses(
     elevation_and_roll = (near @ poses[:, 2:4]) / near.sum(dim=1, keepdim=True)
     azimuth = bins(images.device)[winner, None]
     return torch.cat([azimuth.cos(), azimuth.sin(), elevation_and_roll, estimated[:, 4:]], 1)
+
+
+def learn_poses(
+    model: FullModel,
+    photographs: UInt8[Tensor, "N 3 H W"],
+    poses: Float[Tensor, "N 7"],
+    config: FirstPosesConfig,
+    warm_up: WarmUpConfig,
+    rng: torch.Generator,
+) -> None:
+    """Train the pose networks, with the warm-up's optimiser and batches, to read poses off photographs.
+
+    Half of each batch are mirror images. What a few thousand photographs agree on outweighs single wrong poses.
+    """
+    parameters = [*model.pose_encoder.parameters(), *model.pose_decoder.parameters()]
+    optimizer = torch.optim.Adam(parameters, lr=warm_up.learning_rate, betas=warm_up.betas)
+    for _ in tqdm(range(config.lessons), "first poses", disable=None):
+        index = torch.randint(len(photographs), (warm_up.batch_size,), generator=rng, device=rng.device)
+        images, wanted = photographs[index].float() / 255, poses[index]
+        code = model.pose_encoder(torch.cat([images, images.flip(-1)]))
+        wanted = torch.cat([wanted, model.poses.mirror(wanted)])
+        heads = (model.pose_decoder.ensemble(code) - wanted[:, None]).abs().mean()
+        loss = heads + (model.pose_decoder(code) - wanted).abs().mean()
+        optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        optimizer.step()
 
 
 @torch.no_grad()

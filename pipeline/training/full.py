@@ -23,7 +23,7 @@ from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, Part, pack, require_finite, unpack
 from pipeline.training.curves import Curve
 from pipeline.training.exploration import Estimate, ExplorationConfig, Record, explore, first_record, refining
-from pipeline.training.first_poses import FirstPosesConfig, first_poses
+from pipeline.training.first_poses import FirstPosesConfig, first_poses, learn_poses
 from pipeline.training.full_losses import FullLoss, LossConfig
 from pipeline.training.warm_up import WarmUpConfig, warm_up
 
@@ -55,7 +55,7 @@ class FullTrainingConfig:
     first_poses: FirstPosesConfig
     settle: int
     """Iterations in which first poses are refined but no random, turned or flipped ones are tried: textures that mean
-    nothing yet would choose among them blindly."""
+    nothing yet would choose among them blindly (docs/decisions.md)."""
     exploration: ExplorationConfig
     loss: LossConfig
     discriminator_width: int
@@ -132,6 +132,7 @@ class FullTrainer:
         config, images = self.config, self.photographs.images
         warm_up(self.model, scenes, config.warm_up, self.rng)
         poses = first_poses(self.model, scenes, self.extractor, images, config.first_poses, config.warm_up, self.rng)
+        learn_poses(self.model, images, poses, config.first_poses, config.warm_up, self.rng)
         self.record = Record(poses, self.record.shape)
 
     def estimate(self, images: Float[Tensor, "B 3 H W"]) -> Estimate:

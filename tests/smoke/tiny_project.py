@@ -47,7 +47,7 @@ TINY: dict[str, Any] = {
         "discriminator_width": 4,
         "curve_every": 1,
         "warm_up": {"iterations": 2, "batch_size": 4},
-        "first_poses": {"renderings": 8},
+        "first_poses": {"renderings": 8, "lessons": 2},
         "settle": 2,
         "checkpoint_every": 1,
     },
