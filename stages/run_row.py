@@ -10,6 +10,7 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 
+from pipeline.datasets.posed_folder import has_table
 from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
 from stages.command_line import run
@@ -84,8 +85,13 @@ def _turn_on_dataset(datasets: CommentedMap, name: str, source: Path | None) -> 
     source = source.expanduser()
     if not source.exists():
         raise ConfigError(f"SOURCE={source} does not exist; expected a folder or an archive of photographs")
-    kind = "cifar10" if source.name.startswith(OFFICIAL_CIFAR10) else "folder"
-    _put(datasets, name, {"kind": kind, "source": str(source)})
+    _put(datasets, name, {"kind": _kind(source), "source": str(source)})
+
+
+def _kind(source: Path) -> str:
+    if source.name.startswith(OFFICIAL_CIFAR10):
+        return "cifar10"
+    return "posed_folder" if has_table(source) else "folder"
 
 
 def _require(name: str, known: dict[str, Any], where: str) -> None:

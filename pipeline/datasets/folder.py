@@ -36,6 +36,11 @@ def read_folder(path: Path, config: FolderConfig) -> Dataset:
 
     Raises DataError for a source or picture that cannot be used, and for a category without pictures in one split.
     """
+    return Dataset(stack(read_pictures(path, config)), truth={})
+
+
+def read_pictures(path: Path, config: FolderConfig) -> dict[str, dict[str, Pictures]]:
+    """Read all pictures by split, category and name; errors as in `read_folder`."""
     found: dict[str, dict[str, Pictures]] = {split: {} for split in SPLITS}
     for name, content in tqdm(read_tree(path), desc=f"reading {path.name}", disable=None):
         parts = name.parts if content is None else name.parts[:-1]
@@ -44,22 +49,27 @@ def read_folder(path: Path, config: FolderConfig) -> Dataset:
         pictures = found[parts[-2]].setdefault(parts[-1], {})
         if content is not None and name.suffix.lower() in ENDINGS:
             pictures[name.name] = decode(content, f"{path}: {name}", config.size, config.fit)
-    return Dataset({split: _stacked(path, split, found) for split in SPLITS}, truth={})
+    _require_all(path, found)
+    return found
+
+
+def stack(pictures: dict[str, dict[str, Pictures]]) -> dict[str, dict[str, UInt8[np.ndarray, "_ H W 3"]]]:
+    """Stack the pictures of each split and category in the order of their names."""
+    return {
+        split: {category: np.stack([named[name] for name in sorted(named)]) for category, named in group.items()}
+        for split, group in pictures.items()
+    }
 
 
 def _hidden(name: PurePosixPath) -> bool:
     return any(part.startswith((".", "__MACOSX")) for part in name.parts)
 
 
-def _stacked(path: Path, split: str, found: dict[str, dict[str, Pictures]]) -> dict[str, UInt8[np.ndarray, "_ H W 3"]]:
-    """Stack one split's pictures by category, in the order of their names."""
+def _require_all(path: Path, found: dict[str, dict[str, Pictures]]) -> None:
     categories = sorted({category for group in found.values() for category in group})
     if not categories:
         raise DataError(f"{path} has no pictures at train/<category>/ and test/<category>/; arrange them so")
-    stacked = {}
-    for category in categories:
-        pictures = found[split].get(category)
-        if not pictures:
-            raise DataError(f"{path} has no pictures in {split}/{category}/; expected at least one in each split")
-        stacked[category] = np.stack([pictures[name] for name in sorted(pictures)])
-    return stacked
+    for split in SPLITS:
+        for category in categories:
+            if not found[split].get(category):
+                raise DataError(f"{path} has no pictures in {split}/{category}/; expected at least one in each split")

@@ -6,6 +6,7 @@ from typing import Literal
 
 from pipeline.datasets.cifar10 import Cifar10Config, read_cifar10
 from pipeline.datasets.folder import FolderConfig, read_folder
+from pipeline.datasets.posed_folder import read_posed_folder
 from pipeline.datasets.prepared import Dataset
 from pipeline.datasets.toybox.toybox import ToyboxConfig, make_toybox
 
@@ -20,13 +21,15 @@ class PrepareConfig:
         toybox: pictures that are made.
         cifar10: the official archive.
         folder: photographs in a folder or archive.
+        posed_folder: the same, cut to objects whose viewpoints are known, for evaluation.
     """
 
-    kind: Literal["toybox", "cifar10", "folder"]
+    kind: Literal["toybox", "cifar10", "folder", "posed_folder"]
     source: str
     toybox: ToyboxConfig
     cifar10: Cifar10Config
     folder: FolderConfig
+    posed_folder: FolderConfig
 
 
 def prepare(config: PrepareConfig) -> Dataset:
@@ -38,3 +41,5 @@ def prepare(config: PrepareConfig) -> Dataset:
             return read_cifar10(Path(config.source), config.cifar10)
         case "folder":
             return read_folder(Path(config.source), config.folder)
+        case "posed_folder":
+            return read_posed_folder(Path(config.source), config.posed_folder)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import UInt8
 
-from pipeline.datasets.truth import GroundTruth
+from pipeline.datasets.truth import GroundTruth, Viewpoints
 from pipeline.files import atomic_path, write_json
 
 SPLITS = ("train", "test")
@@ -20,7 +20,7 @@ class Dataset(NamedTuple):
     """
 
     images: Mapping[str, Mapping[str, UInt8[np.ndarray, "_ H W 3"]]]
-    truth: Mapping[str, Mapping[str, GroundTruth]]
+    truth: Mapping[str, Mapping[str, GroundTruth | Viewpoints]]
 
 
 def write_images(folder: Path, dataset: Dataset) -> None:

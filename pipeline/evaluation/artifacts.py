@@ -49,9 +49,15 @@ class Reconstructions(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """Ground truth of one split of a category; shapes share their faces and fit the unit cube."""
+    """Ground truth of one split of a category: viewpoints, and the objects where they are known."""
 
     pose: Pose
+    objects: "TrueObjects | None"
+
+
+class TrueObjects(NamedTuple):
+    """Shapes and masks of pictures; shapes share their faces and fit the unit cube."""
+
     masks: Bool[Tensor, "B H W"]
     vertices: Float[Tensor, "B V 3"]
     faces: Int[Tensor, "F 3"]
@@ -85,10 +91,15 @@ def load_true_split(folder: Path, split: str, category: str) -> Truth | None:
     with numpy.load(folder / split / f"{category}.npz", allow_pickle=False) as stored:
         tensors = {name: torch.from_numpy(stored[name]) for name in stored.files}
     pose = Pose(*(tensors[name] for name in Pose._fields))
-    return Truth(pose, tensors["masks"].bool(), tensors["vertices"], tensors["faces"].long())
+    if "vertices" not in tensors:
+        return Truth(pose, None)
+    return Truth(pose, TrueObjects(tensors["masks"].bool(), tensors["vertices"], tensors["faces"].long()))
 
 
 def select(truth: Truth, index: Int[Tensor, " B"]) -> Truth:
     """Keep the chosen pictures of a split."""
     pose = Pose(*(values[index] for values in truth.pose))
-    return truth._replace(pose=pose, masks=truth.masks[index], vertices=truth.vertices[index])
+    objects = truth.objects
+    if objects is not None:
+        objects = objects._replace(masks=objects.masks[index], vertices=objects.vertices[index])
+    return Truth(pose, objects)

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from pipeline.evaluation.alignment import fit_alignment, turn_pose, turn_vertices
-from pipeline.evaluation.artifacts import STAGES, Reconstruction, Reconstructions, Truth
+from pipeline.evaluation.artifacts import STAGES, Reconstruction, Reconstructions, TrueObjects, Truth
 from pipeline.evaluation.image_metrics import image_columns, image_figures
 from pipeline.evaluation.pose_metrics import baseline_figures, pose_columns, pose_figures
 from pipeline.evaluation.shape import iou
@@ -81,16 +81,19 @@ def evaluate_images(
 def evaluate_truth(
     learned: Learned, training: Truth, test: Truth, config: EvaluateConfig
 ) -> tuple[dict[str, Any], Columns]:
-    """Measure viewpoints and shapes against the truth of the same pictures; return the figures and one row a picture.
+    """Measure viewpoints, and shapes where they are known; return the figures and one row a picture.
 
     The learned frame is first turned about +y by the angle that suits the training split's recorded poses best.
     """
     angle = fit_alignment(training.pose, learned.training_pose)
     pose, pose_table = _evaluate_pose(learned, training, test, angle, config)
-    shape, shape_table = _evaluate_shape(learned, training, test, angle, config)
-    alignment = {"degrees": math.degrees(angle), "n": len(training.masks)}
+    alignment = {"degrees": math.degrees(angle), "n": len(training.pose.azimuth)}
     truth = {"truth_azimuth": torch.rad2deg(test.pose.azimuth), "truth_elevation": torch.rad2deg(test.pose.elevation)}
-    return {"alignment": alignment, "pose": pose, "shape": shape}, {**truth, **pose_table, **shape_table}
+    figures, table = {"alignment": alignment, "pose": pose}, {**truth, **pose_table}
+    if training.objects is not None and test.objects is not None:
+        figures["shape"], shape_table = _evaluate_shape(learned, training.objects, test.objects, angle, config)
+        table |= shape_table
+    return figures, table
 
 
 def _evaluate_pose(
@@ -108,7 +111,7 @@ def _evaluate_pose(
 
 
 def _evaluate_shape(
-    learned: Learned, training: Truth, test: Truth, angle: float, config: EvaluateConfig
+    learned: Learned, training: TrueObjects, test: TrueObjects, angle: float, config: EvaluateConfig
 ) -> tuple[dict[str, Any], Columns]:
     rng = generator(config.seed, "evaluate shape")
     shapes = TrueShapes(test, training, config.shape, rng)

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from pipeline.evaluation.alignment import turn_vertices
-from pipeline.evaluation.artifacts import Reconstruction, Truth
+from pipeline.evaluation.artifacts import Reconstruction, TrueObjects
 from pipeline.evaluation.shape import chamfer_l1, iou, sample_outer_surface
 from pipeline.evaluation.statistics import Figure, mean_figure
 from pipeline.geometry.normalize import fit_unit_cube
@@ -37,7 +37,9 @@ class ShapeConfig:
 class TrueShapes:
     """The true shapes of the test pictures, voxelized and sampled once, and the mean shape of the training split."""
 
-    def __init__(self, truth: Truth, training: Truth, config: ShapeConfig, generator: torch.Generator) -> None:
+    def __init__(
+        self, truth: TrueObjects, training: TrueObjects, config: ShapeConfig, generator: torch.Generator
+    ) -> None:
         self._config = config
         self.faces = truth.faces
         self.voxels = voxelize(truth.vertices, truth.faces, config.voxel_resolution)

@@ -26,16 +26,19 @@ def headline(figures: Mapping[str, Any]) -> list[Tile]:
     ]
     if "pose" not in figures:
         return tiles
-    pose, shape = figures["pose"], figures["shape"]
+    pose = figures["pose"]
     accuracy = {"value": pose["test"]["acc_pi6"], "standard_error": pose["test"]["standard_error"]}
     chance, constant = (f"{name} {pose[name]['acc_pi6']:.3f}" for name in BASELINES)
+    tiles.insert(0, _tile(accuracy, "of poses within 30°", f"{chance} · {constant} · n = {pose['test']['n']}"))
+    if "shape" not in figures:
+        return tiles
+    shape = figures["shape"]
     mean_shape, mean_mask = (shape["constant"][name]["value"] for name in ("voxel_iou", "mask_iou"))
-    return [
-        _tile(accuracy, "of poses within 30°", f"{chance} · {constant} · n = {pose['test']['n']}"),
+    tiles[1:1] = [
         _tile(shape["base"]["voxel_iou"], "volume IoU of the base shape", f"mean true shape {mean_shape:.3f}"),
         _tile(shape["test"]["mask_iou"], "mask IoU", f"mean true mask {mean_mask:.3f}"),
-        *tiles,
     ]
+    return tiles
 
 
 def pose_section(figures: Mapping[str, Any], rows: Mapping[str, list[str]]) -> list[Section]:
@@ -53,7 +56,9 @@ def pose_section(figures: Mapping[str, Any], rows: Mapping[str, list[str]]) -> l
         f"{figures['alignment']['degrees']:.0f} degrees to fit the true poses of the training split. Chance guesses "
         "the azimuth; the constant is the one pose that suits the training split best."
     )
-    body = grid("charts", charts) + pose_table(figures["pose"]) + "<h3>Shapes</h3>" + shape_table(figures["shape"])
+    body = grid("charts", charts) + pose_table(figures["pose"])
+    if "shape" in figures:
+        body += "<h3>Shapes</h3>" + shape_table(figures["shape"])
     return [Section("poses", "Poses and shapes", introduction, body)]
 
 

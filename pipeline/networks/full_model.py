@@ -3,7 +3,7 @@
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -15,7 +15,7 @@ from pipeline.geometry.camera import Pose
 from pipeline.networks.decoders import FreeFormShapes, OffsetShapes, ShapeDecoder
 from pipeline.networks.encoders import Encoder, EncoderConfig
 from pipeline.networks.generators import StripesGenerator, TextureGenerator
-from pipeline.networks.pose_coordinates import PoseCoordinates, PoseRange
+from pipeline.networks.pose_coordinates import Framing, PoseCoordinates, PoseRange
 from pipeline.networks.pose_decoder import PoseDecoder
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
@@ -40,7 +40,7 @@ class FullModelConfig:
 
     two_stage: bool
     """Deform a learned base shape by a grid; false deforms an ellipsoid vertex by vertex (paper section 4.1.3)."""
-    framing: Literal["free", "box"]
+    framing: Framing
     """`box` lets the object fill each rendering, like photographs cut to their boxes; `free` leaves it where it is."""
     encoder: EncoderConfig
     code_size: int

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Float
@@ -10,6 +11,8 @@ from torch import Tensor, nn
 from pipeline.geometry.camera import CameraConfig, Pose, project
 
 POSE_COORDINATES = 7
+Framing = Literal["free", "box"]
+"""Whether objects may stand anywhere in the picture, or fill it because photographs were cut to their boxes."""
 
 
 @dataclass(frozen=True)
@@ -105,3 +108,9 @@ def place_in_picture(
     lower, upper = xy_ndc.amin(dim=1), xy_ndc.amax(dim=1)
     scale = 2 * extent / (upper - lower).amax(dim=1)
     return plain._replace(center=center - scale[:, None] * (lower + upper) / 2, scale=scale)
+
+
+def fill_picture(vertices: Float[Tensor, "B V 3"], pose: Pose, camera: CameraConfig) -> Pose:
+    """Move poses so that the longer side of each object's box is the picture's side and the box is in its middle."""
+    center, extent = torch.zeros_like(pose.center), torch.ones_like(pose.scale)
+    return place_in_picture(vertices, pose.azimuth, pose.elevation, pose.roll, center, extent, camera)

@@ -16,6 +16,7 @@ from pipeline.geometry.topology import Topology, topology_of
 from pipeline.losses.chamfer import chamfer
 from pipeline.losses.feature_matching import feature_matching
 from pipeline.losses.smoothness import SmoothnessConfig, smoothness
+from pipeline.networks.pose_coordinates import Framing, fill_picture
 from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, Scene, SceneConfig, SceneGenerator
 from pipeline.networks.wide_resnet import FeatureExtractor, extract
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
@@ -35,6 +36,7 @@ class BaseShapeConfig:
         colors: size of the texture palette, N_c.
         initial_dimensions: width, height and depth of the initial ellipsoid (paper Table 2).
         subdivisions: of the icosphere; 3 gives 642 vertices.
+        framing: `box` lets the object fill each rendering, like photographs cut to their boxes.
         score_batches: batches of photographs and renderings that the score is averaged over.
         checkpoint_every: iterations between restart states.
     """
@@ -48,6 +50,7 @@ class BaseShapeConfig:
     colors: int
     initial_dimensions: tuple[float, float, float]
     subdivisions: int
+    framing: Framing
     generator: GeneratorConfig
     constraints: ConstraintConfig
     viewpoint: ViewpointConfig
@@ -132,6 +135,8 @@ class SeedTrainer:
         """Draw scenes, viewpoints and lights and render them (paper 3.1.5)."""
         scene = self.scene(self.scene.sample_noise(count, self.rng))
         pose = sample_viewpoints(self.config.viewpoint, count, self.rng)
+        if self.config.framing == "box":
+            pose = fill_picture(scene.vertices, pose, self.config.renderer.camera)
         light = sample_lights(self.config.light, count, self.rng)
         mesh = Mesh(scene.vertices, self.sphere.faces, self.sphere.directions)
         rendering = render(mesh, scene.texture_maps, pose, scene.backgrounds, light, self.config.renderer)

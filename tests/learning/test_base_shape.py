@@ -27,6 +27,7 @@ CONFIG = BaseShapeConfig(
     colors=2,
     initial_dimensions=(0.5, 0.5, 1.0),
     subdivisions=1,
+    framing="free",
     generator=GeneratorConfig(8, 16, 1.0, 4, 8, 8, True),
     constraints=ConstraintConfig(True, True, True, True),
     viewpoint=ViewpointConfig(AngleConfig(0.0, 360.0, 1.0), AngleConfig(0.0, 30.0, 1.0), mirrored=False),

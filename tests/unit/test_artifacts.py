@@ -33,9 +33,10 @@ def test_truth_of_chosen_pictures(truth_folder: Path) -> None:
     assert truth is not None
     chosen = select(truth, torch.tensor([1, 0]))
     assert chosen.pose.azimuth.tolist() == [1, 0]
-    assert chosen.masks.any(-1).any(-1).tolist() == [True, False]
-    assert len(chosen.vertices) == 2
-    assert chosen.faces.dtype == torch.int64
+    assert chosen.objects is not None
+    assert chosen.objects.masks.any(-1).any(-1).tolist() == [True, False]
+    assert len(chosen.objects.vertices) == 2
+    assert chosen.objects.faces.dtype == torch.int64
 
 
 def test_category_without_truth_has_none(truth_folder: Path) -> None:

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from pipeline.evaluation.alignment import turn_pose, turn_vertices
-from pipeline.evaluation.artifacts import Reconstruction, Reconstructions, Truth
+from pipeline.evaluation.artifacts import Reconstruction, Reconstructions, TrueObjects, Truth
 from pipeline.evaluation.evaluate import EvaluateConfig, Learned, evaluate_images, evaluate_truth
 from pipeline.evaluation.shape_metrics import ShapeConfig, silhouettes
 from pipeline.geometry.camera import CameraConfig, Pose
@@ -42,14 +42,15 @@ def truth() -> Truth:
     vertices, (directions, faces) = ellipsoids(COUNT), icosphere(2)
     pose = random_pose(COUNT, 0)
     masks = silhouettes(reconstruction(pose, vertices, 0), faces, directions.float(), RENDERER)
-    return Truth(pose, masks, vertices, faces)
+    return Truth(pose, TrueObjects(masks, vertices, faces))
 
 
 @pytest.fixture(scope="module")
 def learned(truth: Truth) -> Learned:
     """Give the right answers in a frame turned by 90 degrees; before fine-tuning a third of the poses are flipped."""
     directions, faces = icosphere(2)
-    pose, vertices = turn_pose(truth.pose, -FRAME), turn_vertices(truth.vertices, -FRAME)
+    assert truth.objects is not None
+    pose, vertices = turn_pose(truth.pose, -FRAME), turn_vertices(truth.objects.vertices, -FRAME)
     wrong = pose._replace(azimuth=pose.azimuth + math.pi * (torch.arange(COUNT) % 3 == 0))
     reconstructions = Reconstructions(
         reconstruction(wrong, vertices, 0.5),
@@ -74,6 +75,15 @@ def test_right_answers_in_a_turned_frame_score_full_marks(learned: Learned, trut
     assert figures["shape"]["test_tuned"]["chamfer_l1"]["value"] < 0.03
     assert figures["shape"]["base"]["voxel_iou"]["value"] > 0.85
     assert table["rotation_error_predicted"].sort().values[-4:].tolist() == pytest.approx([180] * 4, abs=1e-3)
+
+
+def test_viewpoints_alone_are_measured_alike(learned: Learned, truth: Truth) -> None:
+    figures, table = evaluate_truth(learned, truth, truth, CONFIG)
+    viewpoints = truth._replace(objects=None)
+    figures_of_viewpoints, table_of_viewpoints = evaluate_truth(learned, viewpoints, viewpoints, CONFIG)
+    assert figures_of_viewpoints == {name: figures[name] for name in ("alignment", "pose")}
+    assert "rotation_error_predicted" in table_of_viewpoints
+    assert "voxel_iou_predicted" in table.keys() - table_of_viewpoints.keys()
 
 
 def test_every_figure_has_n_and_standard_error(learned: Learned, truth: Truth) -> None:

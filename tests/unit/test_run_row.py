@@ -10,6 +10,7 @@ from ruamel.yaml import YAML
 
 from pipeline.errors import ConfigError
 from stages.run_row import turn_on
+from tests.picture_trees import tree, write_folder, write_tar
 
 PARAMS = Path(__file__).parents[2] / "params.yaml"
 USUAL = {"size": "laptop", "ablation": "none", "seed": 0, "source": None, "dataset": None, "category": None}
@@ -29,9 +30,15 @@ def test_what_is_on_stays_as_it_is(params: Path) -> None:
     assert params.read_bytes() == PARAMS.read_bytes()
 
 
+def test_photographs_with_a_table_of_poses_are_a_posed_folder(params: Path, tmp_path: Path) -> None:
+    source = write_folder(tmp_path / "cars", {**tree(), "poses.csv": b""})
+    options = _options("pascal-car", dataset="stanford", category="car", source=source)
+    assert turn_on(params, options) == "stanford-car"
+    assert YAML(typ="safe").load(params)["datasets"]["stanford"] == {"kind": "posed_folder", "source": str(source)}
+
+
 def test_a_row_brings_its_dataset_features_and_run(params: Path, tmp_path: Path) -> None:
-    archive = tmp_path / "cifar10_jpeg.tar"
-    archive.touch()
+    archive = write_tar(tmp_path / "cifar10_jpeg.tar", tree())
     assert turn_on(params, _options("cifar10-horse", source=archive)) == "cifar10-horse"
     document = YAML(typ="safe").load(params)
     assert document["datasets"]["cifar10"] == {"kind": "folder", "source": str(archive)}

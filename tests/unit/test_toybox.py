@@ -123,7 +123,9 @@ def test_a_larger_toybox_begins_with_the_smaller() -> None:
     for category in CATEGORIES:
         np.testing.assert_array_equal(small.images["train"][category], large.images["train"][category][:2])
         assert large.images["train"][category].shape == (34, 32, 32, 3)
-        assert large.truth["train"][category].masks.shape == (34, 32, 32)
+        truth = large.truth["train"][category]
+        assert isinstance(truth, GroundTruth)
+        assert truth.masks.shape == (34, 32, 32)
         assert not np.array_equal(large.images["train"][category][:2], large.images["test"][category])
 
 

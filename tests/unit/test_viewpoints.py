@@ -5,6 +5,8 @@ import math
 import pytest
 import torch
 
+from pipeline.geometry.camera import CameraConfig, project
+from pipeline.networks.pose_coordinates import fill_picture
 from pipeline.seeding import generator
 from pipeline.training.viewpoints import (
     AngleConfig,
@@ -53,3 +55,16 @@ def test_light_comes_uniformly_from_above() -> None:
     assert light.direction.mean(0).tolist() == pytest.approx([0.0, 0.5, 0.0], abs=0.02)
     assert light.ambient.unique().item() == pytest.approx(0.4)
     assert light.directional.unique().item() == pytest.approx(0.6)
+
+
+def test_filling_the_picture_keeps_the_angles_and_fits_the_box() -> None:
+    around = AngleConfig(0.0, 360.0, 1.0)
+    pose = sample_viewpoints(ViewpointConfig(around, AngleConfig(0.0, 30.0, 1.0), mirrored=False), 6, generator(0))
+    vertices = torch.rand(6, 40, 3, generator=generator(1)) - 0.5
+    camera = CameraConfig(2.3, 30.0)
+    filled = fill_picture(vertices, pose, camera)
+    torch.testing.assert_close(filled.azimuth, pose.azimuth)
+    corners = project(vertices, filled, camera)[..., :2]
+    low, high = corners.amin(dim=1), corners.amax(dim=1)
+    torch.testing.assert_close((low + high) / 2, torch.zeros(6, 2), atol=1e-4, rtol=0)
+    torch.testing.assert_close((high - low).amax(dim=1), torch.full((6,), 2.0), atol=1e-4, rtol=0)

@@ -1,0 +1,82 @@
+"""Photographs cut to objects whose viewpoints are known: a folder or archive of pictures with a table `poses.csv`."""
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.datasets.archives import read_tree
+from pipeline.datasets.folder import FolderConfig, read_pictures, stack
+from pipeline.datasets.prepared import Dataset
+from pipeline.datasets.truth import Viewpoints
+from pipeline.errors import DataError
+
+TABLE = "poses.csv"
+FILE = "file"
+ANGLES = ("azimuth_deg", "elevation_deg", "roll_deg")
+"""Columns of the table, in degrees and in the conventions of `pipeline.geometry.camera.Pose`."""
+
+Angles = dict[str, tuple[float, ...]]
+"""Azimuth, elevation and roll in radians, by a picture's path below the table's folder."""
+
+
+def read_posed_folder(path: Path, config: FolderConfig) -> Dataset:
+    """Read pictures as `read_folder` does, and their viewpoints from `poses.csv` above `train` and `test`.
+
+    Raises DataError also for a table that is missing or cannot be read, and for a picture without a row in it.
+    """
+    pictures = read_pictures(path, config)
+    angles = _read_angles(path)
+    truth = {
+        split: {
+            category: _truth(path, angles, [f"{split}/{category}/{name}" for name in sorted(named)])
+            for category, named in group.items()
+        }
+        for split, group in pictures.items()
+    }
+    return Dataset(stack(pictures), truth)
+
+
+def has_table(path: Path) -> bool:
+    """Whether a folder or an archive holds viewpoints of its pictures."""
+    if path.is_dir():
+        return (path / TABLE).is_file()
+    return any(name.name == TABLE for name, _ in read_tree(path))
+
+
+def _read_angles(path: Path) -> Angles:
+    for name, content in read_tree(path):
+        if name.name == TABLE and content is not None:
+            return _parse(f"{path}: {name}", content.decode("utf-8-sig"))
+    raise DataError(f"{path} has no {TABLE}; expected one with the columns {', '.join((FILE, *ANGLES))}")
+
+
+def _parse(where: str, text: str) -> Angles:
+    rows = csv.DictReader(io.StringIO(text))
+    missing = [column for column in (FILE, *ANGLES) if column not in (rows.fieldnames or ())]
+    if missing:
+        raise DataError(f"{where} has no column {missing[0]}; expected {', '.join((FILE, *ANGLES))}")
+    return {row[FILE]: tuple(_radians(where, rows.line_num, row[column]) for column in ANGLES) for row in rows}
+
+
+def _radians(where: str, line: int, text: str) -> float:
+    try:
+        angle = math.radians(float(text))
+    except (TypeError, ValueError):
+        angle = math.nan
+    if not math.isfinite(angle):
+        raise DataError(f"{where}, line {line}: {text!r} is not an angle in degrees")
+    return angle
+
+
+def _truth(path: Path, angles: Mapping[str, tuple[float, ...]], names: Sequence[str]) -> Viewpoints:
+    """Collect the viewpoints of pictures."""
+    unknown = [name for name in names if name not in angles]
+    if unknown:
+        raise DataError(f"{path}: {TABLE} has no row for {unknown[0]}; every picture needs one")
+    azimuth, elevation, roll = np.array([angles[name] for name in names]).T
+    count = len(names)
+    return Viewpoints(azimuth, elevation, roll, np.zeros((count, 2)), np.full(count, np.nan))

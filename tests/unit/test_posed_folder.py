@@ -1,0 +1,63 @@
+"""Photographs with viewpoints: pictures as in a folder, and a table of angles."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.datasets.folder import FolderConfig, read_folder
+from pipeline.datasets.posed_folder import has_table, read_posed_folder
+from pipeline.datasets.prepared import write_truth
+from pipeline.datasets.truth import Viewpoints
+from pipeline.errors import DataError
+from pipeline.evaluation.artifacts import load_true_split
+from tests.picture_trees import tree, write_folder, write_tar
+
+CONFIG = FolderConfig(size=32, fit="pad")
+HEADER = "split,file,azimuth_deg,elevation_deg,roll_deg"
+
+
+def table(*changed: str) -> bytes:
+    rows = [f"{name.split('/')[0]},{name},{10 * index},{index},-1.5" for index, name in enumerate(tree())]
+    return "\n".join([HEADER, *changed, *rows[len(changed) :]]).encode()
+
+
+def test_viewpoints_stand_in_the_order_of_the_pictures(tmp_path: Path) -> None:
+    files = {**tree(), "poses.csv": table()}
+    source = write_tar(tmp_path / "cars.tar", dict(reversed(files.items())))
+    dataset = read_posed_folder(source, CONFIG)
+    pictures = read_folder(source, CONFIG).images
+    np.testing.assert_array_equal(dataset.images["test"]["horse"], pictures["test"]["horse"])
+    truth = dataset.truth["test"]["horse"]
+    assert isinstance(truth, Viewpoints)
+    expected = [10.0 * list(tree()).index(f"test/horse/{number}.jpg") for number in (1, 2)]
+    np.testing.assert_allclose(np.degrees(truth.azimuth), expected)
+    np.testing.assert_allclose(truth.roll, math.radians(-1.5))
+    write_truth(tmp_path / "truth", dataset)
+    read = load_true_split(tmp_path / "truth", "test", "horse")
+    assert read is not None
+    assert read.objects is None
+    np.testing.assert_allclose(read.pose.azimuth.rad2deg(), expected)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, r"has no poses\.csv; expected one with the columns file, azimuth_deg, elevation_deg, roll_deg"),
+        (b"file,azimuth_deg,elevation_deg\n", r"poses\.csv has no column roll_deg; expected file, azimuth_deg"),
+        (table("train,train/car/1.jpg,north,0,0"), r"poses\.csv, line 2: 'north' is not an angle in degrees"),
+        (table("train,train/car/1.jpg,nan,0,0"), r"poses\.csv, line 2: 'nan' is not an angle in degrees"),
+        (table("train,train/car/3.jpg,0,0,0"), r"poses\.csv has no row for train/car/1\.jpg; every picture needs one"),
+    ],
+)
+def test_a_bad_table_is_one_sentence(tmp_path: Path, content: bytes | None, message: str) -> None:
+    source = write_folder(tmp_path, tree(**{"poses.csv": content}))
+    with pytest.raises(DataError, match=message):
+        read_posed_folder(source, CONFIG)
+
+
+def test_the_table_tells_the_kind_of_a_source(tmp_path: Path) -> None:
+    assert has_table(write_folder(tmp_path / "posed", {**tree(), "poses.csv": table()}))
+    assert has_table(write_tar(tmp_path / "posed.tar", {**tree(), "poses.csv": table()}))
+    assert not has_table(write_folder(tmp_path / "plain", tree()))
