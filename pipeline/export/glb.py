@@ -13,6 +13,7 @@ from pipeline.export.seam import UnwrappedMesh
 from pipeline.files import atomic_path
 
 FLOAT, UNSIGNED_INT = 5126, 5125
+ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
 LINEAR, REPEAT, CLAMP_TO_EDGE = 9729, 10497, 33071
 
 
@@ -31,11 +32,12 @@ def encode_glb(mesh: UnwrappedMesh, texture: Float[Tensor, "3 T T"]) -> bytes:
     blocks.append(encode_png(texture))
     padded = [block + b"\0" * (-len(block) % 4) for block in blocks]
     starts = [sum(map(len, padded[:index])) for index in range(len(blocks))]
+    targets = [*[{"target": ARRAY_BUFFER}] * 3, {"target": ELEMENT_ARRAY_BUFFER}, {}]
     document = _document(mesh) | {
         "buffers": [{"byteLength": sum(map(len, padded))}],
         "bufferViews": [
-            {"buffer": 0, "byteOffset": start, "byteLength": len(block)}
-            for start, block in zip(starts, blocks, strict=True)
+            {"buffer": 0, "byteOffset": start, "byteLength": len(block), **target}
+            for start, block, target in zip(starts, blocks, targets, strict=True)
         ],
     }
     text = json.dumps(document, separators=(",", ":"), sort_keys=True).encode()
