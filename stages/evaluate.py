@@ -5,6 +5,7 @@ from pathlib import Path
 import torch
 
 from pipeline.config import load
+from pipeline.datasets.images import load_images
 from pipeline.evaluation.artifacts import load_photographs, load_reconstructions, load_true_split, select
 from pipeline.evaluation.evaluate import EvaluateConfig, Learned, evaluate_images, evaluate_truth
 from pipeline.evaluation.tables import write_table
@@ -21,6 +22,7 @@ def main() -> None:
         __doc__,
         truth=Path,
         category=str,
+        train_images=Path,
         test_images=Path,
         features=Path,
         base_shape=Path,
@@ -34,7 +36,8 @@ def main() -> None:
     reconstructions = load_reconstructions(arguments.reconstructions)
     photographs = load_photographs(arguments.test_images, reconstructions.test_index)
     features = load_feature_extractor(arguments.features, torch.device("cpu"))
-    figures, table = evaluate_images(photographs, reconstructions, features, config)
+    photographs_to_retrieve = load_images(arguments.train_images).float() / 255
+    figures, table = evaluate_images(photographs, photographs_to_retrieve, reconstructions, features, config)
     test = load_true_split(arguments.truth, "test", arguments.category)
     training = load_true_split(arguments.truth, "train", arguments.category)
     if test is not None and training is not None:

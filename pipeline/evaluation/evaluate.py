@@ -13,6 +13,7 @@ from pipeline.evaluation.alignment import fit_alignment, turn_pose, turn_vertice
 from pipeline.evaluation.artifacts import STAGES, Reconstruction, Reconstructions, TrueObjects, Truth
 from pipeline.evaluation.image_metrics import image_columns, image_figures
 from pipeline.evaluation.pose_metrics import baseline_figures, pose_columns, pose_figures
+from pipeline.evaluation.retrieval import retrieve
 from pipeline.evaluation.shape import iou
 from pipeline.evaluation.shape_metrics import ShapeConfig, TrueShapes, silhouettes
 from pipeline.evaluation.statistics import mean_figure
@@ -65,17 +66,22 @@ Columns = dict[str, Tensor]
 
 def evaluate_images(
     photographs: Float[Tensor, "B 3 H W"],
+    training: Float[Tensor, "N 3 H W"],
     reconstructions: Reconstructions,
     extractor: FeatureExtractor,
     config: EvaluateConfig,
 ) -> tuple[dict[str, Any], Columns]:
-    """Measure reconstructions before and after fine-tuning; return the figures and one row a picture."""
+    """Measure reconstructions before and after fine-tuning; return the figures and one row a picture.
+
+    Beside them stands what retrieving a training photograph by its colours reaches.
+    """
     columns = {
         stage: image_columns(photographs, getattr(reconstructions, stage).images, extractor, config.batch_size)
         for stage in STAGES
     }
     table = {"test_index": reconstructions.test_index, **_flatten(columns)}
-    return {"reconstruction": image_figures(columns["predicted"], columns["tuned"])}, table
+    retrieved = image_columns(photographs, retrieve(photographs, training), extractor, config.batch_size)
+    return {"reconstruction": image_figures(columns["predicted"], columns["tuned"], retrieved)}, table
 
 
 def evaluate_truth(

@@ -33,9 +33,10 @@ def image_columns(
     }
 
 
-def image_figures(predicted: Columns, tuned: Columns) -> dict[str, Any]:
-    """Summarize both moments, and the fraction of pictures whose feature distance fine-tuning lowered."""
+def image_figures(predicted: Columns, tuned: Columns, retrieved: Columns) -> dict[str, Any]:
+    """Summarize both moments, the baseline, and the fraction of pictures whose feature distance fine-tuning lowered."""
     return {
+        "retrieved": {name: mean_figure(values) for name, values in retrieved.items()},
         "predicted": {name: mean_figure(values) for name, values in predicted.items()},
         "tuned": {name: mean_figure(values) for name, values in tuned.items()},
         "improved": mean_figure(tuned["feature_distance"] < predicted["feature_distance"]),

@@ -12,6 +12,7 @@ from pipeline.export.report_page import Section, Tile, figure_cell, folded, grid
 BASELINES = ("chance", "constant")
 ROW_NAMES = {"test": "test", "test_tuned": "test, fine-tuned", "train": "train, recorded best", "base": "base shape"}
 LINE_POINTS = 120
+RETRIEVED = "training photograph of the same colours"
 ANGLE_TICKS = (-180, -90, 0, 90, 180)
 
 
@@ -129,11 +130,12 @@ def _averaged(line: list[Point]) -> list[Point]:
 def metrics_section(figures: Mapping[str, Any], stage_figures: Mapping[str, Mapping[str, Any]]) -> Section:
     """List every figure of the chain, stage by stage."""
     reconstruction = figures["reconstruction"]
+    stages = {"reconstruction": "predicted", "fine-tuned": "tuned", RETRIEVED: "retrieved"}
     rows = [
         [name, *(figure_cell(reconstruction[stage][column]) for column in ("feature_distance", "psnr", "ssim"))]
-        for name, stage in (("reconstruction", "predicted"), ("fine-tuned", "tuned"))
+        for name, stage in stages.items()
     ]
-    body = table(["pictures", "feature distance", "PSNR (dB)", "SSIM"], rows)
+    body = table(["pictures", "feature distance", "PSNR (dB)", "SSIM"], rows, [RETRIEVED])
     for name, values in {**stage_figures, "evaluate": figures}.items():
         lines = [
             [escape(label), f"{value:.5g}", "" if error is None else f"{error:.2g}", "" if n is None else str(n)]

@@ -11,7 +11,7 @@ from pipeline.geometry.camera import CameraConfig, Pose
 from pipeline.geometry.icosphere import icosphere
 from pipeline.networks.wide_resnet import FeatureExtractor, WideResNet
 from pipeline.rendering.renderer import RendererConfig
-from pipeline.seeding import initialised
+from pipeline.seeding import generator, initialised
 
 COUNT = 12
 RENDERER = RendererConfig(camera=CameraConfig(distance=2.7, field_of_view=30.0), size=16, supersampling=2)
@@ -107,7 +107,9 @@ def test_reconstruction_nearer_to_the_photograph_counts_as_improved(learned: Lea
     with initialised(0, "extractor"):
         extractor = FeatureExtractor(WideResNet(10, 1, 2), 2.0)
     photographs = learned.reconstructions.tuned.images
-    figures, table = evaluate_images(photographs, learned.reconstructions, extractor, CONFIG)
+    training = torch.rand(3, *photographs.shape[1:], generator=generator(0))
+    figures, table = evaluate_images(photographs, training, learned.reconstructions, extractor, CONFIG)
+    assert figures["reconstruction"]["retrieved"]["feature_distance"]["value"] > 0
     assert figures["reconstruction"]["improved"]["value"] == 1
     assert figures["reconstruction"]["tuned"]["feature_distance"]["value"] == 0
     torch.testing.assert_close(table["psnr_predicted"], torch.full((COUNT,), -20 * math.log10(0.25)))

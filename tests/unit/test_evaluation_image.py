@@ -46,7 +46,7 @@ def test_ssim_is_symmetric_and_falls_with_noise() -> None:
 def test_improved_is_the_share_of_lower_distances() -> None:
     predicted = {"feature_distance": torch.tensor([1.0, 2.0, 3.0, 4.0])}
     tuned = {"feature_distance": torch.tensor([0.5, 1.0, 3.0, 2.0])}
-    improved = image_figures(predicted, tuned)["improved"]
+    improved = image_figures(predicted, tuned, predicted)["improved"]
     assert improved["value"] == 0.75
     assert improved["n"] == 4
     assert math.isclose(improved["standard_error"], 0.25)

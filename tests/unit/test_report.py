@@ -36,7 +36,9 @@ def inputs(truth: bool) -> ReportInputs:
     vertices = directions.expand(COUNT, -1, -1) / 2
     found = Reconstruction(pose, vertices, torch.full((COUNT, 3, 16), 0.5), torch.full((COUNT, 3, 16, 16), 0.5))
     columns = {"feature_distance": figure(0.5), "psnr": figure(20), "ssim": figure(0.5)}
-    figures: dict = {"reconstruction": {"predicted": columns, "tuned": columns, "improved": figure(0.75)}}
+    figures: dict = {
+        "reconstruction": dict.fromkeys(("predicted", "tuned", "retrieved"), columns) | {"improved": figure(0.75)}
+    }
     table = {f"feature_distance_{stage}": ["4", "1", "3", "2"] for stage in ("predicted", "tuned")}
     table["test_index"] = ["7", "8", "9", "10"]
     if truth:
