@@ -116,8 +116,11 @@ def balance(
     return (scores + colors @ correction).softmax(dim=1)
 
 
-def mean_colors(images: Float[Tensor, "N 3 H W"]) -> Float[Tensor, "N 9"]:
-    """Describe the paint: colours of the middle, their deviations and the colours of the border, whitened."""
+def mean_colors(images: Float[Tensor, "N 3 H W"]) -> Float[Tensor, "N K"]:
+    """Describe the paint: colours of the middle, their deviations and the colours of the border, whitened.
+
+    These are nine numbers, fewer where there are fewer photographs.
+    """
     size = images.shape[-1]
     inner = slice(size // 4, size - size // 4)
     middle = images[:, :, inner, inner].flatten(2)
