@@ -25,7 +25,6 @@ def main() -> None:
         train_images=Path,
         test_images=Path,
         features=Path,
-        base_shape=Path,
         mesh=Path,
         model=Path,
         reconstructions=Path,
@@ -41,15 +40,13 @@ def main() -> None:
     test = load_true_split(arguments.truth, "test", arguments.category)
     training = load_true_split(arguments.truth, "train", arguments.category)
     if test is not None and training is not None:
-        model, mesh, base_shape = (load_tensors(vars(arguments)[name])[0] for name in ("model", "mesh", "base_shape"))
+        model, mesh = (load_tensors(path)[0] for path in (arguments.model, arguments.mesh))
         visited = model["train_visits"].nonzero().flatten()
         learned = Learned(
             reconstructions,
             pose_from_tensor(model["train_pose"][visited]),
             mesh["vertices"],
             mesh["faces"],
-            base_shape["seed_vertices"],
-            base_shape["faces"],
             load_full_model(arguments.model, torch.device("cpu")).config.renderer,
         )
         splits = select(training, visited), select(test, reconstructions.test_index)

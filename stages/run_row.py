@@ -36,7 +36,8 @@ def main() -> None:
 def turn_on(path: Path, options: Namespace) -> str:
     """Add the run that the options describe to the file, keeping its comments, and return the run's name.
 
-    The name leaves out what is usual: laptop size, no ablation, seed 0, the row's own photographs. Raises ConfigError
+    The name leaves out what is usual: laptop size, no ablation, seed 0, the row's own photographs. A run whose ablation
+    leaves base shapes as they are shares the base shape of the run without ablation. Raises ConfigError
     for a row, size or ablation that does not exist and for a dataset whose source is not known.
     """
     yaml = _yaml()
@@ -50,14 +51,23 @@ def turn_on(path: Path, options: Namespace) -> str:
     if features not in document["features"]:
         _put(document["features"], features, {"dataset": dataset, "size": options.size, "seed": 0})
     own = (dataset, category) != (row["dataset"], row["category"])
-    unusual = [f"{dataset}-{category}" if own else options.row]
-    unusual += [options.size] * (options.size != "laptop") + [options.ablation] * (options.ablation != "none")
-    name = "-".join(unusual + [f"seed{options.seed}"] * (options.seed != 0))
-    settings = {"row": options.row, "size": options.size, "ablation": options.ablation, "seed": options.seed}
-    _put(document["runs"], name, {**settings, "dataset": dataset, "category": category, "features": features})
+    subject = f"{dataset}-{category}" if own else options.row
+    entry = {"row": options.row, "size": options.size, "ablation": options.ablation, "seed": options.seed}
+    entry |= {"dataset": dataset, "category": category, "features": features}
+    name = _name(subject, entry)
+    changes_base_shape = bool(document["ablations"][options.ablation]["learn_base_shape"])
+    base_shape = entry | {"ablation": options.ablation if changes_base_shape else "none"}
+    _put(document["base_shapes"], _name(subject, base_shape), base_shape)
+    _put(document["runs"], name, entry | {"base_shape": _name(subject, base_shape)})
     with atomic_path(path) as temporary:
         yaml.dump(document, temporary)
     return name
+
+
+def _name(subject: str, entry: dict[str, Any]) -> str:
+    unusual = [subject] + [entry["size"]] * (entry["size"] != "laptop")
+    unusual += [entry["ablation"]] * (entry["ablation"] != "none") + [f"seed{entry['seed']}"] * (entry["seed"] != 0)
+    return "-".join(unusual)
 
 
 def _yaml() -> YAML:

@@ -38,6 +38,7 @@ MODEL = FullModelConfig(
     texture_size=16,
     texture_channels=4,
     mirror_texture=True,
+    stripes=True,
     shape=ShapeConfig(mirror=True, grid_reach=0.1, dimension_reach=0.2, offset_reach=0.1),
     renderer=RendererConfig(CameraConfig(2.7, 30.0), 32, 2),
 )

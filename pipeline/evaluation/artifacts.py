@@ -21,13 +21,13 @@ class Reconstruction(NamedTuple):
     Attributes:
         pose: camera pose in the learned frame.
         vertices: learned frame, unit cube.
-        backgrounds: colour of each row of the picture, in [0, 1].
+        backgrounds: what is behind the object, in [0, 1].
         images: the rendering, in [0, 1].
     """
 
     pose: Pose
     vertices: Float[Tensor, "B V 3"]
-    backgrounds: Float[Tensor, "B 3 H"]
+    backgrounds: Float[Tensor, "B 3 H W"]
     images: Float[Tensor, "B 3 H W"]
 
 
@@ -71,7 +71,7 @@ def load_reconstructions(path: Path) -> Reconstructions:
         return Reconstruction(
             pose_from_tensor(tensors[f"pose_{stage}"]),
             tensors[f"vertices_{stage}"],
-            tensors[f"backgrounds_{stage}"],
+            tensors[f"backgrounds_{stage}"].float() / 255,
             tensors[f"images_{stage}"].float() / 255,
         )
 

@@ -48,7 +48,6 @@ class Learned(NamedTuple):
     Attributes:
         training_pose: recorded best poses of the training pictures whose truth is given.
         base: base shape after remeshing, with its faces.
-        seeds: base shapes of all seeds, with theirs.
         renderer: camera and size of the reconstructions, for their masks.
     """
 
@@ -56,8 +55,6 @@ class Learned(NamedTuple):
     training_pose: Pose
     base: Float[Tensor, "V 3"]
     base_faces: Int[Tensor, "F 3"]
-    seeds: Float[Tensor, "S W 3"]
-    seed_faces: Int[Tensor, "G 3"]
     renderer: RendererConfig
 
 
@@ -134,7 +131,6 @@ def _evaluate_shape(
         split: {name: mean_figure(values) for name, values in columns[stage].items()} for stage, split in SPLITS.items()
     }
     figures["base"] = shapes.base_figures(turn_vertices(learned.base, angle), learned.base_faces, rng)
-    figures["base"]["seed_mean_shape_iou"] = shapes.seed_ious(learned.seeds, learned.seed_faces)
     typical_mask = training.masks.double().mean(0) >= 0.5
     figures["constant"] = {
         "voxel_iou": shapes.constant_figure(),

@@ -1,6 +1,5 @@
 """The shape section of a run's metrics: volumes, surfaces and masks against the ground truth (design: Evaluate)."""
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,7 +7,6 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pipeline.evaluation.alignment import turn_vertices
 from pipeline.evaluation.artifacts import Reconstruction, TrueObjects
 from pipeline.evaluation.shape import chamfer_l1, iou, sample_outer_surface
 from pipeline.evaluation.statistics import Figure, mean_figure
@@ -17,8 +15,6 @@ from pipeline.geometry.voxels import voxelize
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
 Columns = dict[str, Tensor]
-
-SEED_TURNS = 24
 
 
 @dataclass(frozen=True)
@@ -78,18 +74,6 @@ class TrueShapes:
     def constant_figure(self) -> Figure:
         """Compare the training split's mean shape with every test picture's shape: the best a constant can do."""
         return mean_figure(iou(self.mean_shape.expand_as(self.voxels), self.voxels))
-
-    def seed_ious(self, seeds: Float[Tensor, "S V 3"], faces: Int[Tensor, "F 3"]) -> dict[str, float]:
-        """Compare each seed's base shape with the mean shape, in the best of 24 turns about +y.
-
-        Seeds that were not chosen have no poses to align them by, so this flatters each of them alike.
-        """
-        turns = [turn_vertices(seeds, 2 * math.pi * turn / SEED_TURNS) for turn in range(SEED_TURNS)]
-        overlaps = [
-            iou(voxels, self.mean_shape.expand_as(voxels))
-            for voxels in (voxelize(fit_unit_cube(turned), faces, self._config.voxel_resolution) for turned in turns)
-        ]
-        return {str(seed): overlap for seed, overlap in enumerate(torch.stack(overlaps).amax(0).tolist())}
 
 
 def silhouettes(

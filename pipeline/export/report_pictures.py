@@ -9,11 +9,10 @@ from torch import Tensor
 from pipeline.evaluation.artifacts import Reconstructions
 from pipeline.export.picture import data_uri, strip
 from pipeline.export.report_page import Section, card, four, grid, image, turntable
-from pipeline.export.views import ViewConfig, render_clay, render_textured
+from pipeline.export.views import SEED_AZIMUTHS, ViewConfig, render_clay, render_textured
 from pipeline.geometry.camera import CameraConfig
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
-SEED_AZIMUTHS = (0.0, 45.0, 90.0, 225.0)
 STEP_AZIMUTHS = tuple(range(0, 400, 50))
 
 
@@ -69,9 +68,9 @@ class Gallery:
         mesh = Mesh(found.tuned.vertices[index], found.faces, found.directions)
         pose = type(found.tuned.pose)(*(values[index] for values in found.tuned.pose))
         pose = pose._replace(azimuth=pose.azimuth + torch.tensor(turn).deg2rad())
-        backgrounds = found.tuned.backgrounds[index][..., None].expand(-1, -1, -1, size)
         renderer = RendererConfig(camera=self._camera, size=size, supersampling=self._view.supersampling)
-        return render(mesh, found.textures[index], pose, backgrounds, None, renderer).images.clamp(0, 1)
+        images = render(mesh, found.textures[index], pose, found.tuned.backgrounds[index], None, renderer).images
+        return images.clamp(0, 1)
 
 
 def base_shape_section(views: Float[Tensor, "S 4 4 H W"], scores: Float[Tensor, " S"]) -> Section:

@@ -14,6 +14,8 @@ from pipeline.rendering.lighting import Light
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
 CLAY = 0.8
+SEED_AZIMUTHS = (0.0, 45.0, 90.0, 225.0)
+"""Front, front corner, side and rear corner, in degrees: from where base shapes are shown."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from pipeline.files import load_tensors
 from pipeline.geometry.camera import Pose
 from pipeline.networks.decoders import FreeFormShapes, OffsetShapes, ShapeDecoder
 from pipeline.networks.encoders import Encoder, EncoderConfig
-from pipeline.networks.generators import StripesGenerator, TextureGenerator
+from pipeline.networks.generators import ImageBackgroundGenerator, StripesGenerator, TextureGenerator
 from pipeline.networks.pose_coordinates import Framing, PoseCoordinates, PoseRange
 from pipeline.networks.pose_decoder import PoseDecoder
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
@@ -55,6 +55,8 @@ class FullModelConfig:
     texture_size: int
     texture_channels: int
     mirror_texture: bool
+    stripes: bool
+    """Whether backgrounds are horizontal stripes (paper 3.1.4); false lets them be any picture (paper Fig. 7d)."""
     shape: ShapeConfig
     renderer: RendererConfig
 
@@ -68,7 +70,7 @@ class Reconstruction(NamedTuple):
     """RGB in [0, 1]."""
     pose: Pose
     backgrounds: Float[Tensor, "B 3 H W"]
-    """RGB in [0, 1], constant along every row."""
+    """RGB in [0, 1], constant along every row unless the model was built without stripes."""
 
 
 class FullModel(nn.Module):
@@ -101,7 +103,11 @@ class FullModel(nn.Module):
         self.texture_decoder = TextureGenerator(
             config.texture_code_size, config.texture_channels, config.texture_size, config.mirror_texture
         )
-        self.background_decoder = StripesGenerator(code, hidden, config.renderer.size)
+        self.background_decoder = (
+            StripesGenerator(code, hidden, config.renderer.size)
+            if config.stripes
+            else ImageBackgroundGenerator(code, config.texture_channels, config.renderer.size)
+        )
 
     def standardize(self, images: Float[Tensor, "B 3 H W"]) -> None:
         """Rescale all encoders' codes to mean 0 and one size over these photographs, before training."""

@@ -139,7 +139,7 @@ class StripesGenerator(nn.Module):
 
 
 class ImageBackgroundGenerator(nn.Module):
-    """Map a latent vector to an unconstrained background (the ablation of paper Fig. 5e)."""
+    """Map a latent vector to an unconstrained background (the ablations of paper Fig. 5e and 7d)."""
 
     def __init__(self, latent_size: int, hidden_channels: int, size: int) -> None:
         super().__init__()

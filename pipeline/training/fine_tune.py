@@ -116,8 +116,8 @@ def fine_tune(
 ) -> dict[str, Tensor]:
     """Reconstruct photographs and fine-tune background, pose and shape of each, batch by batch.
 
-    Returns, for `predicted` and `tuned`, `pose_*`, `vertices_*`, `backgrounds_*` (rows), `images_*` (8-bit renderings)
-    and `feature_distance_*`, then `textures`, `faces`, `directions` and `test_index`. Goes on from the checkpoint's
+    Returns, for `predicted` and `tuned`, `pose_*`, `vertices_*`, `backgrounds_*` and `images_*` (8-bit pictures) and
+    `feature_distance_*`, then `textures`, `faces`, `directions` and `test_index`. Goes on from the checkpoint's
     last batch.
     """
     model.requires_grad_(False)
@@ -161,8 +161,12 @@ def _describe(outputs: Outputs, loss: Loss, state: str) -> dict[str, Tensor]:
     results = {
         "pose": pose_to_tensor(reconstruction.pose),
         "vertices": reconstruction.vertices,
-        "backgrounds": reconstruction.backgrounds[..., 0],
-        "images": (images * 255).round().clamp(0, 255).to(torch.uint8),
+        "backgrounds": _to_bytes(reconstruction.backgrounds),
+        "images": _to_bytes(images),
         "feature_distance": loss(reconstruction),
     }
     return {f"{name}_{state}": value.cpu() for name, value in results.items()}
+
+
+def _to_bytes(images: Float[Tensor, "B 3 H W"]) -> UInt8[Tensor, "B 3 H W"]:
+    return (images * 255).round().clamp(0, 255).to(torch.uint8)

@@ -52,7 +52,8 @@ class FullTrainingConfig:
     ellipsoid: EllipsoidConfig
     warm_up: WarmUpConfig
     """Of two-stage training alone, like `first_poses`: there is nothing to render without a base shape."""
-    first_poses: FirstPosesConfig
+    first_poses: FirstPosesConfig | None
+    """None leaves records at the paper's random poses."""
     settle: int
     """Iterations in which first poses are refined but no random, turned or flipped ones are tried: textures that mean
     nothing yet would choose among them blindly (docs/decisions.md)."""
@@ -129,10 +130,12 @@ class FullTrainer:
 
     def start_from(self, scenes: SceneGenerator) -> None:
         """Learn to read the base shape's renderings, and record first poses of the photographs from them."""
-        config, images = self.config, self.photographs.images
+        config, images, first = self.config, self.photographs.images, self.config.first_poses
         warm_up(self.model, scenes, config.warm_up, self.rng)
-        poses = first_poses(self.model, scenes, self.extractor, images, config.first_poses, config.warm_up, self.rng)
-        learn_poses(self.model, images, poses, config.first_poses, config.warm_up, self.rng)
+        if first is None:
+            return
+        poses = first_poses(self.model, scenes, self.extractor, images, first, config.warm_up, self.rng)
+        learn_poses(self.model, images, poses, first, config.warm_up, self.rng)
         self.record = Record(poses, self.record.shape)
 
     def estimate(self, images: Float[Tensor, "B 3 H W"]) -> Estimate:

@@ -42,7 +42,7 @@ def state(trainer: FullTrainer) -> dict[str, Tensor]:
     }
 
 
-@pytest.mark.parametrize("config", [TRAINING, SINGLE_STAGE])
+@pytest.mark.parametrize("config", [TRAINING, SINGLE_STAGE, replace(TRAINING, first_poses=None)])
 def test_interrupted_training_ends_with_the_same_bytes(config: FullTrainingConfig, tmp_path: Path) -> None:
     whole = state(train(config, tmp_path / "whole"))
     train(replace(config, iterations=2), tmp_path / "halves")

@@ -14,7 +14,7 @@ DOCUMENT = YAML(typ="safe").load(ROOT / "dvc.yaml")
 PARAMS = YAML(typ="safe").load(ROOT / "params.yaml")
 STAGES = stage_bodies(DOCUMENT)
 TRAINING = ["train_features", "learn_base_shape", "train_full", "fine_tune"]
-CHAIN = ["prepare_data", *TRAINING[:2], "remesh", *TRAINING[2:], "evaluate", "report"]
+CHAIN = ["prepare_data", *TRAINING[:2], "evaluate_base_shape", "remesh", *TRAINING[2:], "evaluate", "report"]
 
 
 def _options(stage: str) -> dict[str, list[str]]:
@@ -82,6 +82,8 @@ def test_runs_agree_with_their_rows() -> None:
         assert (run["dataset"], run["category"]) == (row["dataset"], row["category"]), name
         assert run["dataset"] in PARAMS["datasets"], name
         assert PARAMS["features"][run["features"]]["dataset"] == run["dataset"], name
+        base_shape = PARAMS["base_shapes"][run["base_shape"]]
+        assert base_shape | {"ablation": run["ablation"], "base_shape": run["base_shape"]} == run, name
 
 
 def test_no_artifact_path_stands_in_the_code() -> None:

@@ -57,6 +57,7 @@ TINY: dict[str, Any] = {
         "pose": {"steps": 2},
         "shape": {"steps": 2},
     },
+    "evaluate_base_shape": {"voxel_resolution": 8, "view": {"size": 32, "supersampling": 1}},
     "evaluate": {"shape": {"voxel_resolution": 8, "surface_points": 50}, "chance_draws": 10},
     "report": {"examples": 2, "turntables": 1, "frames": 2, "view": {"size": 32, "supersampling": 1}},
 }
@@ -72,6 +73,7 @@ def make_tiny_project(folder: Path) -> None:
     yaml = YAML(typ="safe")
     params = yaml.load(ROOT / "params.yaml")
     params["runs"] = {"toybox-car": params["runs"]["toybox-car"]}
+    params["base_shapes"] = {"toybox-car": params["base_shapes"]["toybox-car"]}
     params["features"] = {"toybox-laptop": params["features"]["toybox-laptop"]}
     params["datasets"] = {"toybox": params["datasets"]["toybox"]}
     params["sizes"]["laptop"] = {stage: {} for stage in params["sizes"]["laptop"]}

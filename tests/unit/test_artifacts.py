@@ -56,7 +56,7 @@ def test_reconstructions_before_and_after_fine_tuning(tmp_path: Path) -> None:
     for value, stage in ((0.0, "predicted"), (1.0, "tuned")):
         tensors[f"pose_{stage}"] = torch.arange(6.0)[None] + value
         tensors[f"vertices_{stage}"] = torch.full((1, 4, 3), value)
-        tensors[f"backgrounds_{stage}"] = torch.full((1, 3, 8), value)
+        tensors[f"backgrounds_{stage}"] = torch.full((1, 3, 8, 8), int(255 * value), dtype=torch.uint8)
         tensors[f"images_{stage}"] = torch.full((1, 3, 8, 8), int(255 * value), dtype=torch.uint8)
     tensors |= {"textures": torch.zeros(1, 3, 2, 2), "directions": torch.zeros(4, 3)}
     tensors |= {"faces": torch.zeros(2, 3, dtype=torch.int64), "test_index": torch.tensor([5])}

@@ -34,7 +34,7 @@ def ellipsoids(count: int) -> torch.Tensor:
 
 def reconstruction(pose: Pose, vertices: torch.Tensor, shade: float) -> Reconstruction:
     images = torch.full((COUNT, 3, 16, 16), shade)
-    return Reconstruction(pose, vertices, torch.zeros(COUNT, 3, 16), images)
+    return Reconstruction(pose, vertices, torch.zeros_like(images), images)
 
 
 @pytest.fixture(scope="module")
@@ -61,7 +61,7 @@ def learned(truth: Truth) -> Learned:
         torch.arange(COUNT),
     )
     base = vertices[COUNT // 2]
-    return Learned(reconstructions, pose, base, faces, torch.stack([base, directions.float() / 2]), faces, RENDERER)
+    return Learned(reconstructions, pose, base, faces, RENDERER)
 
 
 def test_right_answers_in_a_turned_frame_score_full_marks(learned: Learned, truth: Truth) -> None:
@@ -91,12 +91,6 @@ def test_every_figure_has_n_and_standard_error(learned: Learned, truth: Truth) -
     for rows in (figures["pose"].values(), figures["shape"]["test"].values(), [figures["shape"]["base"]["voxel_iou"]]):
         assert all(row["n"] == COUNT and row["standard_error"] >= 0 for row in rows)
     assert all(len(column) == COUNT for column in table.values())
-
-
-def test_best_seed_fits_the_mean_shape(learned: Learned, truth: Truth) -> None:
-    figures, _ = evaluate_truth(learned, truth, truth, CONFIG)
-    ellipsoid, sphere = figures["shape"]["base"]["seed_mean_shape_iou"].values()
-    assert ellipsoid > 0.9 > 0.5 > sphere
 
 
 def test_same_seed_gives_the_same_figures(learned: Learned, truth: Truth) -> None:

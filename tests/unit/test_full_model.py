@@ -96,3 +96,8 @@ def test_true_coordinates_rerender_the_photographs_silhouettes() -> None:
 def test_random_poses_differ() -> None:
     drawn = tiny_model().poses.draw(100, generator(0))
     assert len(drawn.unique(dim=0)) == 100
+
+
+def test_backgrounds_without_stripes_are_any_picture() -> None:
+    reconstruction = tiny_model(stripes=False).eval().infer(torch.rand(2, 3, 32, 32, generator=generator(0)))
+    assert reconstruction.backgrounds.std(dim=3).min() > 1e-4

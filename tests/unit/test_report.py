@@ -34,7 +34,7 @@ def inputs(truth: bool) -> ReportInputs:
     zeros = torch.zeros(COUNT)
     pose = Pose(zeros, zeros, zeros, torch.zeros(COUNT, 2), zeros + 1)
     vertices = directions.expand(COUNT, -1, -1) / 2
-    found = Reconstruction(pose, vertices, torch.full((COUNT, 3, 16), 0.5), torch.full((COUNT, 3, 16, 16), 0.5))
+    found = Reconstruction(pose, vertices, *[torch.full((COUNT, 3, 16, 16), 0.5)] * 2)
     columns = {"feature_distance": figure(0.5), "psnr": figure(20), "ssim": figure(0.5)}
     figures: dict = {
         "reconstruction": dict.fromkeys(("predicted", "tuned", "retrieved"), columns) | {"improved": figure(0.75)}

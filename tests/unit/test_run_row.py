@@ -45,6 +45,7 @@ def test_a_row_brings_its_dataset_features_and_run(params: Path, tmp_path: Path)
     assert document["features"]["cifar10-laptop"] == {"dataset": "cifar10", "size": "laptop", "seed": 0}
     run = document["runs"]["cifar10-horse"]
     assert (run["dataset"], run["category"], run["features"]) == ("cifar10", "horse", "cifar10-laptop")
+    assert document["base_shapes"][run.pop("base_shape")] == run
     changes = difflib.ndiff(PARAMS.read_text().splitlines(), params.read_text().splitlines())
     assert {line[0] for line in changes} == {" ", "+"}
 
@@ -57,6 +58,18 @@ def test_names_say_what_is_unusual(params: Path, tmp_path: Path) -> None:
     document = YAML(typ="safe").load(params)
     assert document["runs"]["market-cart"]["row"] == "cifar10-automobile"
     assert document["datasets"]["market"]["source"] == str(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("ablation", "base_shape"),
+    [("no-symmetry", "toybox-car-no-symmetry-seed1"), ("no-view-prior", "toybox-car-seed1")],
+)
+def test_a_base_shape_is_shared_where_the_ablation_leaves_it(params: Path, ablation: str, base_shape: str) -> None:
+    name = turn_on(params, _options("toybox-car", ablation=ablation, seed=1))
+    document = YAML(typ="safe").load(params)
+    assert document["runs"][name]["base_shape"] == base_shape
+    assert document["runs"][name]["ablation"] == ablation
+    assert document["base_shapes"][base_shape]["ablation"] == ("none" if ablation not in base_shape else ablation)
 
 
 def test_the_official_archive_is_known_by_its_name(params: Path, tmp_path: Path) -> None:

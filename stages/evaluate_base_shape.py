@@ -1,0 +1,45 @@
+"""Draw the base shapes of all seeds, and measure them where the truth is known."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from pipeline.config import load
+from pipeline.evaluation.artifacts import load_true_split
+from pipeline.evaluation.base_shape import base_shape_figures
+from pipeline.export.picture import tile, write_png
+from pipeline.export.views import SEED_AZIMUTHS, ViewConfig, on_white, render_clay
+from pipeline.files import load_tensors, write_json
+from pipeline.geometry.camera import CameraConfig
+from stages.command_line import parse, run
+
+
+@dataclass(frozen=True)
+class EvaluateBaseShapeConfig:
+    """How base shapes are compared and shown."""
+
+    voxel_resolution: int
+    """Voxels along each side of the unit cube."""
+    camera: CameraConfig
+    view: ViewConfig
+
+
+def main() -> None:
+    """Write a picture with one row a seed, and the figures as JSON: without known truth there are none."""
+    arguments = parse(__doc__, truth=Path, category=str, base_shape=Path, out=Path, figure=Path)
+    config = load(arguments.params, EvaluateBaseShapeConfig, arguments.sections)
+    tensors, _ = load_tensors(arguments.base_shape)
+    seeds, faces, scores = (tensors[name] for name in ("seed_vertices", "faces", "seed_scores"))
+    rows = torch.stack([render_clay(seed, faces, SEED_AZIMUTHS, config.camera, config.view) for seed in seeds])
+    write_png(arguments.figure, tile(on_white(rows), gap=4, shade=1.0))
+    training, test = (load_true_split(arguments.truth, split, arguments.category) for split in ("train", "test"))
+    figures = {}
+    if training is not None and test is not None and training.objects is not None and test.objects is not None:
+        chosen = int(scores.argmin())
+        figures = base_shape_figures(seeds, faces, chosen, training.objects, test.objects, config.voxel_resolution)
+    write_json(arguments.out, figures)
+
+
+if __name__ == "__main__":
+    run(main)

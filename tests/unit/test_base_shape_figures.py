@@ -1,0 +1,28 @@
+import math
+
+import pytest
+import torch
+
+from pipeline.evaluation.alignment import turn_vertices
+from pipeline.evaluation.artifacts import TrueObjects
+from pipeline.evaluation.base_shape import base_shape_figures
+from pipeline.geometry.icosphere import icosphere
+
+DIRECTIONS, FACES = icosphere(2)
+LONG = DIRECTIONS * torch.tensor([0.25, 0.2, 0.5])
+
+
+def cars(count: int) -> TrueObjects:
+    widths = 1 + torch.linspace(-0.1, 0.1, count)[:, None, None] * torch.tensor([1.0, 0, 0])
+    return TrueObjects(torch.zeros(count, 4, 4, dtype=torch.bool), LONG * widths, FACES)
+
+
+def test_every_seed_is_compared_in_its_best_turn() -> None:
+    seeds = torch.stack([DIRECTIONS / 2, turn_vertices(LONG, math.radians(60))])
+    figures = base_shape_figures(seeds, FACES, 1, cars(6), cars(4), 16)
+    sphere, long = figures["seeds"].values()
+    assert long > 0.8 > 0.5 > sphere
+    assert figures["voxel_iou"]["value"] == pytest.approx((sphere + long) / 2)
+    assert figures["voxel_iou"]["n"] == 2
+    assert figures["chosen"]["voxel_iou"]["value"] == pytest.approx(long)
+    assert figures["chosen"]["voxel_iou"]["n"] == 4
