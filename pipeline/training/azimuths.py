@@ -4,8 +4,9 @@ A linear regression from features to azimuths, fitted to the votes on some photo
 judgements replace the votes for a few rounds. Votes tell the axis of an object well and its front from its rear barely,
 and a regression that has to explain a faint signal takes what it finds: white cars drive forwards, dark ones away.
 Paint says nothing about the azimuth. So features are measured in units of how much repainting changes them, and
-opposite azimuths are given equally many photographs, of the same mean colours. How many there are of an axis is
-what the votes say (horses show their sides); were it free, azimuths would gather in clusters from round to round.
+opposite azimuths are given photographs of the same mean colours. How many there are of an axis is what the votes say
+(horses show their sides); were it free, azimuths would gather in clusters from round to round. How many of them show
+the front is free: opposite azimuths have the same mean score, not the same number of photographs.
 
 Azimuths are bins of the circle: row i of `N azimuths` is a photograph's distribution over them.
 """
@@ -33,7 +34,7 @@ class ConsensusConfig:
     """Settings of the consensus.
 
     Attributes:
-        rounds: of regression; 0 keeps the votes.
+        rounds: of regression; 0 keeps the votes. After several one end takes all photographs.
         components: principal components of the features that the regression sees.
         repainting_floor: added to the variances under repainting, as a part of their mean.
         ridge: penalty of the regression, as a part of a component's mean variance.
@@ -92,25 +93,28 @@ def standardize(scores: Float[Tensor, "N azimuths"]) -> Float[Tensor, "N azimuth
 def symmetric_share(scores: Float[Tensor, "N azimuths"]) -> Float[Tensor, " azimuths"]:
     """Return how many photographs the scores give each azimuth, averaged over opposite and mirrored ones."""
     share = scores.softmax(dim=1).mean(dim=0)
-    share = share + share.roll(len(share) // 2)
+    share = share + _opposite(share)
     return (share + mirrored(share)) / 4
 
 
 def balance(
     scores: Float[Tensor, "N azimuths"], colors: Float[Tensor, "N K"], share: Float[Tensor, " azimuths"]
 ) -> Float[Tensor, "N azimuths"]:
-    """Turn scores into probabilities that give azimuths their shares, and opposite azimuths the same mean colours.
+    """Turn scores into probabilities that give axes their shares, and opposite azimuths the same mean colours.
 
-    Each azimuth's score gets an affine function of the colours, found by Newton-like steps.
+    Each azimuth's score gets an affine function of the colours, found by Newton-like steps, after what makes its mean
+    differ from that of the opposite azimuth is taken off.
     """
+    excess_of_mean = scores.mean(dim=0) - _opposite(scores.mean(dim=0))
+    scores = scores - (excess_of_mean + mirrored(excess_of_mean)) / 4
     colors = torch.cat([torch.ones_like(colors[:, :1]), colors], 1)
     covariance = colors.T @ colors / len(colors)
     correction = colors.new_zeros(colors.shape[1], scores.shape[1])
     for _ in range(_BALANCING_STEPS):
         probabilities = (scores + colors @ correction).softmax(dim=1)
         sums = colors.T @ probabilities / len(colors)
-        excess = (sums - sums.roll(len(share) // 2, 1)) / 2
-        excess[0] = sums[0] - share
+        excess = (sums - _opposite(sums)) / 2
+        excess[0] = (sums[0] + _opposite(sums[0])) / 2 - share
         step = torch.linalg.solve(covariance, excess) / share
         correction = correction - (step + mirrored(step)) / 4
     return (scores + colors @ correction).softmax(dim=1)
@@ -187,6 +191,10 @@ def judge(
         here, there = judged @ weights @ waves.T
         scores[fold == held_out] = here + mirrored(there)
     return scores
+
+
+def _opposite(values: Float[Tensor, "... azimuths"]) -> Float[Tensor, "... azimuths"]:
+    return values.roll(values.shape[-1] // 2, -1)
 
 
 def _flat_features(images: Float[Tensor, "N 3 H W"], extractor: FeatureExtractor) -> Float[Tensor, "N D"]:
