@@ -190,8 +190,10 @@ def _build_network(config: FeaturesConfig, train: Pictures, initial: Path, seed:
         )
     with initialised(seed, "features", "network"):
         network = WideResNet(config.depth, config.width, classes)
-    for channel in range(3):
+    for channel, name in enumerate(("red", "green", "blue")):
         std, mean = torch.std_mean(train.images[:, channel].float() / 255)
+        if std == 0:
+            raise DataError(f"the {name} of all training pictures is the same everywhere; expected colour photographs")
         network.std[:, channel], network.mean[:, channel] = std.cpu(), mean.cpu()
     return network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
 

@@ -108,6 +108,13 @@ def test_one_category_alone_cannot_be_classified(tmp_path: Path) -> None:
         train_features(CONFIG, cars, cars, NO_WEIGHTS, 0, Checkpoint(tmp_path, "key"))
 
 
+def test_a_colour_that_is_the_same_everywhere_is_named(tmp_path: Path) -> None:
+    pictures = bars(16, 0)
+    pictures.images[:, 1] = 255
+    with pytest.raises(DataError, match="the green of all training pictures"):
+        train_features(CONFIG, pictures, pictures, NO_WEIGHTS, 0, Checkpoint(tmp_path, "key"))
+
+
 def test_one_cycle_rises_to_its_peak_and_falls_to_zero() -> None:
     rates = [one_cycle(iteration, 1000, 0.25) for iteration in range(1000)]
     assert max(rates) == pytest.approx(1, abs=2e-3)
