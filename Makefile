@@ -8,7 +8,7 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 # Threads that wait should sleep: on a busy machine spinning ones make every step many times slower.
 export OMP_WAIT_POLICY := PASSIVE
 
-.PHONY: repro test check run bench dependencies clean
+.PHONY: repro test check run bench dependencies tables clean
 
 repro: $(STAMP)  ## run the pipeline: by default the toybox car, from pictures to a page
 	dvc repro
@@ -32,6 +32,9 @@ bench: $(STAMP)  ## time the renderer and the training steps; JSON under results
 
 dependencies: $(STAMP)  ## rewrite the code dependencies of dvc.yaml
 	python -m tests.project.import_closure
+
+tables: $(STAMP)  ## rewrite the tables of README.md and docs/ from results/metrics
+	python -m tests.project.result_tables
 
 clean:  ## remove the environment and restart states; models and results stay
 	rm -rf .venv .checkpoints

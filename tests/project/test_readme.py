@@ -1,18 +1,19 @@
 """The README says what is there: its rows, commands, links and figures."""
 
 import re
+from pathlib import Path
 from typing import Any
 
 import pytest
 from ruamel.yaml import YAML
 
-from pipeline.files import read_json
+from pipeline.files import write_json
 from tests.project.import_closure import ROOT
+from tests.project.result_tables import PAGES, TABLES, Table, render, with_tables
 
 README = (ROOT / "README.md").read_text()
 PARAMS = YAML(typ="safe").load(ROOT / "params.yaml")
 MAKEFILE = (ROOT / "Makefile").read_text()
-FIGURE = re.compile(r"^\| `([\w-]+)` \| `([\w.]+)` \| ([-\d.]+)(?: ± ([\d.]+))? \| (\d*) \|$", re.MULTILINE)
 
 
 def test_every_row_size_and_ablation_is_named() -> None:
@@ -44,19 +45,29 @@ def test_every_link_leads_somewhere(page: str) -> None:
 
 
 def test_every_measured_run_is_shown() -> None:
-    measured = {path.stem for path in ROOT.glob("results/metrics/*.json")}
-    assert measured == {run for run, *_ in FIGURE.findall(README)}
+    measured = {re.sub(r"-seed\d+$", "", path.stem) for path in ROOT.glob("results/metrics/*.json")}
+    tables = "".join(render(table) for table in TABLES.values())
+    assert {name for name in measured if f"`{name}`" not in tables} == set()
 
 
-def test_figures_are_those_of_the_files() -> None:
-    for run, figure, value, error, n in FIGURE.findall(README):
-        section: Any = None
-        measured: Any = read_json(ROOT / "results" / "metrics" / f"{run}.json")
-        for name in figure.split("."):
-            section, measured = measured, measured[name]
-        if not isinstance(measured, dict):  # acc_pi6 stands beside its n and standard error
-            measured = {**section, "value": measured}
-        decimals = len(value.partition(".")[2])
-        assert value == f"{measured['value']:.{decimals}f}", (run, figure)
-        assert not error or error == f"{measured['standard_error']:.{decimals}f}", (run, figure)
-        assert not n or int(n) == measured["n"], (run, figure)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_tables_are_those_of_the_files(page: Path) -> None:
+    assert page.read_text() == with_tables(page.read_text()), "run `make tables`"
+
+
+def test_a_table_shows_the_mean_over_seeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.project.result_tables.METRICS", tmp_path)
+    for name, value in (("car", 0.5), ("car-seed1", 0.7), ("horse", 0.25)):
+        section = {
+            "acc_pi6": value,
+            "n": 40,
+            "standard_error": 0.1,
+            "other": {"value": 3.0, "n": 40, "standard_error": 1.0},
+        }
+        write_json(tmp_path / f"{name}.json", {"pose": section})
+    write_json(tmp_path / "ship.json", {"shape": {}})
+    table = Table("", ".*", {"accuracy": "pose.acc_pi6", "distance": "pose.other"})
+    assert render(table).splitlines()[2:] == [
+        "| `car` | 2 | 40 | 0.600 ± 0.141 | 3.0 ± 0.0 |",
+        "| `horse` | 1 | 40 | 0.250 ± 0.100 | 3.0 ± 1.0 |",
+    ]

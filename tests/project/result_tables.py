@@ -1,0 +1,140 @@
+"""Keep the tables of README.md and docs/ equal to results/metrics.
+
+`python -m tests.project.result_tables` rewrites them. A page holds a table between `<!-- table: NAME -->` and
+`<!-- end of table -->`. Runs that differ in their seed alone are one row: the mean and the standard deviation over the
+seeds, or one seed's value and its standard error.
+"""
+
+import re
+import statistics
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from pipeline.files import read_json
+from tests.project.import_closure import ROOT
+
+METRICS = ROOT / "results" / "metrics"
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+MARKED = re.compile(r"(?<=<!-- table: )([\w-]+)( -->\n).*?(?=<!-- end of table -->)", re.DOTALL)
+
+
+class Table(NamedTuple):
+    """What a table shows of which runs.
+
+    Attributes:
+        folder: where the runs' files are, below results/metrics.
+        runs: pattern of the names of its runs, without their seeds.
+        columns: heading and dotted key of each figure; runs without the first one are left out.
+    """
+
+    folder: str
+    runs: str
+    columns: dict[str, str]
+
+
+TABLES = {
+    "viewpoints": Table(
+        "",
+        r"(?!.*(no-|single-stage)).*",
+        {
+            "predicted": "pose.test.acc_pi6",
+            "fine-tuned": "pose.test_tuned.acc_pi6",
+            "recorded in training": "pose.train.acc_pi6",
+            "best constant": "pose.constant.acc_pi6",
+            "chance": "pose.chance.acc_pi6",
+            "turned by 180°": "pose.test.flipped",
+            "median error, °": "pose.test.median_error_degrees",
+        },
+    ),
+    "shapes": Table(
+        "",
+        r"(?!.*(no-|single-stage)).*",
+        {
+            "base shape": "shape.base.voxel_iou",
+            "predicted": "shape.test.voxel_iou",
+            "mean shape of the truth": "shape.constant.voxel_iou",
+            "masks predicted": "shape.test.mask_iou",
+            "masks fine-tuned": "shape.test_tuned.mask_iou",
+            "best constant mask": "shape.constant.mask_iou",
+        },
+    ),
+    "reconstructions": Table(
+        "",
+        r"(?!.*(no-|single-stage)).*",
+        {
+            "predicted": "reconstruction.predicted.feature_distance",
+            "fine-tuned": "reconstruction.tuned.feature_distance",
+            "lowered by fine-tuning": "reconstruction.improved",
+            "retrieved by colours": "reconstruction.retrieved.feature_distance",
+        },
+    ),
+    "base-shape-ablations": Table("evaluate_base_shape", r"toybox-car.*", {"base-shape IoU": "voxel_iou"}),
+    "ablations": Table(
+        "",
+        r"toybox-car(-no-.*|-single-stage.*)?",
+        {
+            "acc_pi/6 predicted": "pose.test.acc_pi6",
+            "fine-tuned": "pose.test_tuned.acc_pi6",
+            "recorded": "pose.train.acc_pi6",
+            "shape IoU": "shape.test.voxel_iou",
+            "mask IoU": "shape.test.mask_iou",
+            "fine-tuned mask IoU": "shape.test_tuned.mask_iou",
+            "feature distance": "reconstruction.predicted.feature_distance",
+            "fine-tuned distance": "reconstruction.tuned.feature_distance",
+        },
+    ),
+}
+
+
+def with_tables(text: str) -> str:
+    """Return a page with every table made anew."""
+    return MARKED.sub(lambda found: f"{found[1]}{found[2]}\n{render(TABLES[found[1]])}\n", text)
+
+
+def render(table: Table) -> str:
+    """Write a table as Markdown."""
+    rows = [["run", "seeds", "n", *table.columns], ["---"] * (3 + len(table.columns)), *_rows(table)]
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+def _rows(table: Table) -> Iterator[list[str]]:
+    seeds: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
+    for path in sorted((METRICS / table.folder).glob("*.json")):
+        name = re.sub(r"-seed\d+$", "", path.stem)
+        if re.fullmatch(table.runs, name):
+            seeds[name].append(read_json(path))
+    first, *_ = table.columns.values()
+    for name, runs in sorted(seeds.items()):
+        if figure(runs[0], first) is not None:
+            counts = sorted({str(found["n"]) for run in runs if (found := figure(run, first)) is not None})
+            cells = [_cell(runs, key) for key in table.columns.values()]
+            yield [f"`{name}`", str(len(runs)), ", ".join(counts), *cells]
+
+
+def figure(metrics: dict[str, Any], key: str) -> dict[str, Any] | None:
+    """Return a figure's value, n and standard error, or None where the run has none under the dotted key."""
+    *sections, last = key.split(".")
+    section: Any = metrics
+    for name in sections:
+        section = section.get(name, {})
+    found = section.get(last)
+    return {**section, "value": found} if isinstance(found, float) else found  # acc_pi6 stands beside its n
+
+
+def _cell(runs: list[dict[str, Any]], key: str) -> str:
+    found = [one for run in runs if (one := figure(run, key)) is not None]
+    values = [one["value"] for one in found]
+    spread = statistics.stdev(values) if len(values) > 1 else found[0]["standard_error"]
+    decimals = 3 if max(values) < 2 else 1
+    return f"{statistics.fmean(values):.{decimals}f} ± {spread:.{decimals}f}"
+
+
+def _rewrite(page: Path) -> None:
+    page.write_text(with_tables(page.read_text()))
+
+
+if __name__ == "__main__":
+    for page in PAGES:
+        _rewrite(page)
