@@ -13,8 +13,8 @@ export OMP_WAIT_POLICY := PASSIVE
 repro: $(STAMP)  ## run the pipeline: by default the toybox car, from pictures to a page
 	dvc repro
 
-run: $(STAMP)  ## turn a row of the paper on and run it: ROW= SIZE=laptop|paper SOURCE= ABLATION= SEED= DATASET= CATEGORY=
-	python -m stages.run_row $(foreach option,ROW SIZE SOURCE ABLATION SEED DATASET CATEGORY,$(if $($(option)),--$(shell echo $(option) | tr A-Z a-z) "$($(option))"))
+run: $(STAMP)  ## turn a row of the paper on and run it: ROW= SIZE=laptop|paper SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY=
+	python -m stages.run_row $(foreach option,ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY,$(if $($(option)),--$(shell echo $(option) | tr A-Z a-z) "$($(option))"))
 
 test: $(STAMP)  ## the whole test suite
 	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 pytest

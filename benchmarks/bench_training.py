@@ -15,7 +15,8 @@ from torch.profiler import profile, record_function
 
 from pipeline.config import load
 from pipeline.geometry.icosphere import icosphere
-from pipeline.networks.wide_resnet import FeatureExtractor, WideResNet, extract
+from pipeline.networks.feature_extractor import FeatureExtractor, extract
+from pipeline.networks.wide_resnet import WideResNet
 from pipeline.rendering.renderer import Mesh
 from pipeline.seeding import generator, initialised
 from pipeline.training.full import FullTrainer, FullTrainingConfig, Photographs

@@ -11,8 +11,8 @@ from pipeline.evaluation.evaluate import EvaluateConfig, Learned, evaluate_image
 from pipeline.evaluation.tables import write_table
 from pipeline.files import load_tensors, write_json
 from pipeline.geometry.camera import pose_from_tensor
+from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.full_model import load_full_model
-from pipeline.networks.wide_resnet import load_feature_extractor
 from stages.command_line import parse, run
 
 

@@ -8,8 +8,8 @@ from pipeline.config import load, scalar
 from pipeline.datasets.images import load_images
 from pipeline.device import resolve_device
 from pipeline.files import save_tensors, write_json
+from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.full_model import load_full_model
-from pipeline.networks.wide_resnet import load_feature_extractor
 from pipeline.training.checkpoint import Checkpoint, restart_key
 from pipeline.training.fine_tune import FineTuneConfig, fine_tune
 from stages.command_line import parse, run

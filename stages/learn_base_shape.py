@@ -3,11 +3,11 @@
 from pathlib import Path
 
 from pipeline.config import load, scalar
-from pipeline.datasets.images import load_images
+from pipeline.datasets.images import load_images_of_size
 from pipeline.device import resolve_device
 from pipeline.files import save_tensors, write_json
+from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.scene_generator import scene_texts
-from pipeline.networks.wide_resnet import load_feature_extractor
 from pipeline.training.base_shape import BaseShapeConfig, BaseShapes, learn_base_shape
 from pipeline.training.checkpoint import Checkpoint, restart_key
 from stages.command_line import parse, run
@@ -30,7 +30,7 @@ def main() -> None:
     key = restart_key(config, [arguments.images, arguments.features], arguments.seed)
     shapes = learn_base_shape(
         config,
-        load_images(arguments.images).to(device),
+        load_images_of_size(arguments.images, config.renderer.size).to(device),
         load_feature_extractor(arguments.features, device),
         arguments.seed,
         arguments.checkpoints,

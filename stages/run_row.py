@@ -10,9 +10,11 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 
+from pipeline.config import load
 from pipeline.datasets.posed_folder import has_table
 from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
+from pipeline.training.base_shape import BaseShapeConfig
 from stages.command_line import run
 
 PARAMS = Path("params.yaml")
@@ -27,6 +29,7 @@ def main() -> None:
     parser.add_argument("--ablation", default="none", help="an entry of `ablations`")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--source", type=Path, help="folder or archive of the photographs, if not on yet")
+    parser.add_argument("--features", type=Path, help="weights of the network that compares pictures, if not on yet")
     parser.add_argument("--dataset", help="a name for photographs of your own; else the row's")
     parser.add_argument("--category", help="the category among them; else the row's")
     name = turn_on(PARAMS, parser.parse_args())
@@ -37,8 +40,9 @@ def turn_on(path: Path, options: Namespace) -> str:
     """Add the run that the options describe to the file, keeping its comments, and return the run's name.
 
     The name leaves out what is usual: laptop size, no ablation, seed 0, the row's own photographs. A run whose ablation
-    leaves base shapes as they are shares the base shape of the run without ablation. Raises ConfigError
-    for a row, size or ablation that does not exist and for a dataset whose source is not known.
+    leaves base shapes as they are shares the base shape of the run without ablation. Raises ConfigError for a row, size
+    or ablation that does not exist, for a dataset whose source is not known or whose pictures have another size, and
+    for features whose weights are not known.
     """
     yaml = _yaml()
     document = yaml.load(path)
@@ -46,10 +50,10 @@ def turn_on(path: Path, options: Namespace) -> str:
         _require(name, document[kind], f"{path}: {kind}")
     row = document["rows"][options.row]
     dataset, category = options.dataset or row["dataset"], options.category or row["category"]
-    _turn_on_dataset(document["datasets"], dataset, options.source)
+    sections = ("learn_base_shape", f"rows.{options.row}.learn_base_shape", f"sizes.{options.size}.learn_base_shape")
+    _turn_on_dataset(document, dataset, options.source, load(path, BaseShapeConfig, sections).renderer.size)
     features = f"{dataset}-{options.size}"
-    if features not in document["features"]:
-        _put(document["features"], features, {"dataset": dataset, "size": options.size, "seed": 0})
+    _turn_on_features(document, features, {"dataset": dataset, "size": options.size, "seed": 0}, options.features)
     own = (dataset, category) != (row["dataset"], row["category"])
     subject = f"{dataset}-{category}" if own else options.row
     entry = {"row": options.row, "size": options.size, "ablation": options.ablation, "seed": options.seed}
@@ -87,15 +91,41 @@ def _put(entries: CommentedMap, name: str, entry: dict[str, Any]) -> None:
         entries.insert(0, name, entry)
 
 
-def _turn_on_dataset(datasets: CommentedMap, name: str, source: Path | None) -> None:
+def _turn_on_dataset(document: CommentedMap, name: str, source: Path | None, size: int) -> None:
+    datasets = document["datasets"]
     if source is None:
         if name not in datasets:
             raise ConfigError(f"no photographs of '{name}' yet; name their folder or archive with SOURCE=")
-        return
-    source = source.expanduser()
-    if not source.exists():
-        raise ConfigError(f"SOURCE={source} does not exist; expected a folder or an archive of photographs")
-    _put(datasets, name, {"kind": _kind(source), "source": str(source)})
+        entry = {}
+    else:
+        source = _existing("SOURCE", source)
+        entry = {"kind": _kind(source), "source": str(source)}
+    kind = entry.get("kind") or datasets[name]["kind"]
+    usual = document["prepare_data"][kind].get("size", size)
+    if name in datasets and datasets[name].get(kind, {}).get("size", usual) != size:
+        raise ConfigError(
+            f"'{name}' is on with pictures of another size than the {size} px of this run; name a second "
+            "dataset with DATASET= and SOURCE="
+        )
+    _put(datasets, name, entry | ({kind: {"size": size}} if usual != size else {}))
+
+
+def _turn_on_features(document: CommentedMap, name: str, entry: dict[str, Any], weights: Path | None) -> None:
+    features, size = document["features"], entry["size"]
+    if weights is None:
+        if name in features:
+            return
+        if document["sizes"][size]["train_features"].get("method") == "pretrained":
+            raise ConfigError(f"size '{size}' compares pictures by a given network; name its weights with FEATURES=")
+    given = document["weights"] if weights is None else str(_existing("FEATURES", weights))
+    _put(features, name, {**entry, "weights": given})
+
+
+def _existing(option: str, path: Path) -> Path:
+    path = path.expanduser()
+    if not path.exists():
+        raise ConfigError(f"{option}={path} does not exist; name a file or a folder that does")
+    return path
 
 
 def _kind(source: Path) -> str:

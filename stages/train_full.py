@@ -3,13 +3,13 @@
 from pathlib import Path
 
 from pipeline.config import load, scalar
-from pipeline.datasets.images import load_images
+from pipeline.datasets.images import load_images_of_size
 from pipeline.device import resolve_device
 from pipeline.files import save_tensors, write_json
 from pipeline.geometry.camera import pose_to_tensor
+from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.full_model import full_model_texts
 from pipeline.networks.scene_generator import load_scene_generator
-from pipeline.networks.wide_resnet import load_feature_extractor
 from pipeline.training.checkpoint import Checkpoint, restart_key
 from pipeline.training.full import FullTrainer, FullTrainingConfig, load_base, train_full
 from stages.command_line import parse, run
@@ -35,7 +35,7 @@ def main() -> None:
     checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed))
     trainer, curve = train_full(
         config,
-        load_images(arguments.images).to(device),
+        load_images_of_size(arguments.images, config.model.renderer.size).to(device),
         load_feature_extractor(arguments.features, device),
         load_base(config, arguments.mesh, device),
         load_scene_generator(arguments.base_shape, device),

@@ -12,10 +12,11 @@ from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.symmetry import mirror_index
 from pipeline.losses.smoothness import SmoothnessConfig
 from pipeline.networks.encoders import EncoderConfig
+from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, FullModelConfig, Reconstruction, ShapeConfig
 from pipeline.networks.pose_coordinates import PoseRange
 from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, SceneConfig, SceneGenerator
-from pipeline.networks.wide_resnet import FeatureExtractor, WideResNet
+from pipeline.networks.wide_resnet import WideResNet
 from pipeline.rendering.renderer import Mesh, RendererConfig
 from pipeline.seeding import generator, initialised
 from pipeline.training.azimuths import ConsensusConfig

@@ -24,8 +24,8 @@ from pipeline.export.seam import unwrap
 from pipeline.export.views import on_white, render_textured
 from pipeline.files import atomic_path, write_json
 from pipeline.geometry.camera import Pose, pose_from_tensor
+from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.full_model import FullModel, load_full_model
-from pipeline.networks.wide_resnet import load_feature_extractor
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.fine_tune import FineTuneConfig, fine_tune
 

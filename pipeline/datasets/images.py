@@ -15,3 +15,14 @@ def load_images(path: Path) -> UInt8[Tensor, "N 3 H W"]:
     if not path.is_file():
         raise DataError(f"{path} does not exist; run prepare_data for its dataset first, or check the category's name")
     return torch.from_numpy(np.load(path)).permute(0, 3, 1, 2).contiguous()
+
+
+def load_images_of_size(path: Path, size: int) -> UInt8[Tensor, "N 3 size size"]:
+    """Load pictures for renderings of `size` pixels to be compared with. Raises DataError where theirs differs."""
+    images = load_images(path)
+    if images.shape[-1] != size:
+        raise DataError(
+            f"{path} holds pictures of {images.shape[-1]} px, but renderer.size is {size}; give its dataset a size of "
+            f"{size} under its kind, or the run one of {images.shape[-1]}"
+        )
+    return images

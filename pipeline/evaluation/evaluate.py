@@ -18,7 +18,7 @@ from pipeline.evaluation.shape import iou
 from pipeline.evaluation.shape_metrics import ShapeConfig, TrueShapes, silhouettes
 from pipeline.evaluation.statistics import mean_figure
 from pipeline.geometry.camera import Pose
-from pipeline.networks.wide_resnet import FeatureExtractor
+from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.rendering.renderer import RendererConfig
 from pipeline.seeding import generator
 

@@ -9,7 +9,7 @@ from torch import Tensor
 from pipeline.evaluation.image import psnr, ssim
 from pipeline.evaluation.statistics import mean_figure
 from pipeline.losses.image_distance import feature_distance
-from pipeline.networks.wide_resnet import FeatureExtractor
+from pipeline.networks.feature_extractor import FeatureExtractor
 
 Columns = dict[str, Tensor]
 

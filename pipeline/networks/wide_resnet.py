@@ -1,17 +1,15 @@
-"""Wide residual networks for small pictures, and the frozen feature extractor made from one."""
+"""Wide residual networks for small pictures."""
 
-import copy
-from collections.abc import Mapping
 from pathlib import Path
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from pipeline.errors import DataError
-from pipeline.files import load_tensors, save_tensors
+from pipeline.files import load_tensors
 
 
 class ResidualBlock(nn.Module):
@@ -42,6 +40,7 @@ class WideResNet(nn.Module):
     quarter resolution. Input is RGB in [0, 1]; normalisation by the buffers `mean` and `std` happens inside.
     """
 
+    maps = 3
     mean: Tensor
     std: Tensor
 
@@ -71,6 +70,11 @@ class WideResNet(nn.Module):
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")
         nn.init.zeros_(self.classifier.bias)
 
+    @property
+    def description(self) -> dict[str, str]:
+        """What is needed to build the network again."""
+        return {"depth": str(self.depth), "width": str(self.width), "classes": str(self.classes)}
+
     def features(self, images: Float[Tensor, "B 3 H W"], count: int = 3) -> list[Float[Tensor, "B _ _ _"]]:
         """Return the outputs of the first `count` groups, each right before the next sub-sampling."""
         x = self.stem((images - self.mean) / self.std)
@@ -84,35 +88,6 @@ class WideResNet(nn.Module):
         """Return class scores (logits) of RGB pictures in [0, 1]."""
         x = functional.relu(self.normalization(self.features(images)[-1]))
         return self.classifier(x.mean(dim=(2, 3)))
-
-
-class FeatureExtractor(nn.Module):
-    """Turn pictures into the feature maps in which they are compared (paper, appendix, "Reconstruction loss").
-
-    A frozen copy of a trained network in which every batch normalisation is folded: into the convolution before it, or
-    into a scale and a shift per channel. Gradients flow to the pictures alone.
-
-    The pictures themselves, times `color_weight`, come before the network's maps: features learned for recognition
-    alone leave colours free to drift (docs/decisions.md). The paper's distance has a weight of 0.
-    """
-
-    def __init__(self, network: WideResNet, color_weight: float) -> None:
-        super().__init__()
-        self.color_weight = color_weight
-        self.network = copy.deepcopy(network).eval()
-        for block in self.network.modules():
-            if isinstance(block, ResidualBlock):
-                _fold_normalizations(block)
-        self.requires_grad_(False)
-        self.network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
-
-    def forward(self, images: Float[Tensor, "B 3 H W"], count: int = 4) -> list[Float[Tensor, "B _ _ _"]]:
-        """Return the weighted pictures and three feature maps, at full, half and quarter size, of RGB in [0, 1].
-
-        Only the first `count` of the four are computed.
-        """
-        images = images.contiguous(memory_format=torch.channels_last)
-        return [self.color_weight * images, *self.network.features(images, count - 1)]
 
 
 class ChannelAffine(nn.Module):
@@ -135,24 +110,23 @@ class ChannelAffine(nn.Module):
         return torch.addcmul(self.shift, x, self.scale)
 
 
-def _fold_normalizations(block: ResidualBlock) -> None:
-    first, second = block.normalization_1, block.normalization_2
-    assert isinstance(first, nn.BatchNorm2d)
-    assert isinstance(second, nn.BatchNorm2d)
-    block.normalization_1 = ChannelAffine(first)
-    block.convolution_1 = fuse_conv_bn_eval(block.convolution_1, second)
-    block.normalization_2 = nn.Identity()
+def fold_normalizations(network: nn.Module) -> None:
+    """Replace the batch normalisations of residual blocks, in place, by what they do in evaluation mode.
 
-
-def save_feature_extractor(path: Path, network: WideResNet, color_weight: float, metadata: Mapping[str, str]) -> None:
-    """Write a trained network's weights, in half precision, with what is needed to build the extractor again."""
-    tensors = {name: tensor.half() for name, tensor in network.state_dict().items()}
-    shape = {"depth": str(network.depth), "width": str(network.width), "classes": str(network.classes)}
-    save_tensors(path, tensors, {**metadata, **shape, "color_weight": str(color_weight)})
+    They go into the convolution before them, or into a scale and a shift per channel.
+    """
+    for block in network.modules():
+        if isinstance(block, ResidualBlock):
+            first, second = block.normalization_1, block.normalization_2
+            assert isinstance(first, nn.BatchNorm2d)
+            assert isinstance(second, nn.BatchNorm2d)
+            block.normalization_1 = ChannelAffine(first)
+            block.convolution_1 = fuse_conv_bn_eval(block.convolution_1, second)
+            block.normalization_2 = nn.Identity()
 
 
 def load_wide_resnet(path: Path, device: torch.device) -> WideResNet:
-    """Build the network `save_feature_extractor` wrote, with its classifier, in evaluation mode.
+    """Build the network that `train_features` stored, with its classifier, in evaluation mode.
 
     Raises DataError where the file holds something else.
     """
@@ -163,36 +137,3 @@ def load_wide_resnet(path: Path, device: torch.device) -> WideResNet:
     except (KeyError, ValueError, RuntimeError):
         raise DataError(f"{path} holds no wide residual network; make it with the stage train_features") from None
     return network.eval().to(device)
-
-
-def load_feature_extractor(path: Path, device: torch.device) -> FeatureExtractor:
-    """Load the frozen feature extractor `save_feature_extractor` wrote. Raises DataError where the file is not one."""
-    network = load_wide_resnet(path, device)
-    return FeatureExtractor(network, float(load_tensors(path)[1]["color_weight"])).to(device)
-
-
-@torch.no_grad()
-def extract(
-    extractor: FeatureExtractor, images: Float[Tensor, "B 3 H W"] | UInt8[Tensor, "B 3 H W"], batch_size: int
-) -> list[Float[Tensor, "B _ _ _"]]:
-    """Compute the features of photographs once, to be kept: in half precision, channels last, on the images' device.
-
-    Images are RGB, in [0, 1] or 8-bit. A 32x32 picture takes 115 kB under WRN-16-2.
-    """
-    kept: list[Tensor] = []
-    for start in range(0, len(images), batch_size):
-        batch = images[start : start + batch_size]
-        layers = extractor(batch.float() / 255 if batch.dtype == torch.uint8 else batch)
-        if not kept:
-            kept = [
-                torch.empty(
-                    (len(images), *layer.shape[1:]),
-                    dtype=torch.float16,
-                    device=images.device,
-                    memory_format=torch.channels_last,
-                )
-                for layer in layers
-            ]
-        for whole, layer in zip(kept, layers, strict=True):
-            whole[start : start + batch_size] = layer
-    return kept

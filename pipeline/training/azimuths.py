@@ -19,7 +19,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from pipeline.networks.wide_resnet import FeatureExtractor
+from pipeline.networks.feature_extractor import FeatureExtractor
 
 AZIMUTHS = 72
 """Bins; an even number, so that opposite azimuths are bins too."""
@@ -141,7 +141,7 @@ def paintless_features(
     """Return features of photographs and of their mirror images, whitened by how much repainting changes them."""
     features = torch.stack([_flat_features(images, extractor), _flat_features(images.flip(-1), extractor)])
     components = min(config.components, len(images) // 2)
-    features = features - features.mean(dim=(0, 1))
+    features -= features.mean(dim=(0, 1))
     basis = _principal_directions(features.flatten(0, 1), components, rng)
     change = _flat_features(repaint(images, rng), extractor) - _flat_features(repaint(images, rng), extractor)
     change = change @ basis
@@ -198,11 +198,12 @@ def _opposite(values: Float[Tensor, "... azimuths"]) -> Float[Tensor, "... azimu
 
 
 def _flat_features(images: Float[Tensor, "N 3 H W"], extractor: FeatureExtractor) -> Float[Tensor, "N D"]:
-    """Return directions of the second and the third feature maps, averaged over a grid: the others are paint."""
+    """Return directions of all feature maps but the first, averaged over a grid: colours and edges are paint."""
     flat = []
     for batch in images.split(250):
         maps = [functional.normalize(layer, dim=1) for layer in extractor(batch)[2:]]
-        flat.append(torch.cat([functional.adaptive_avg_pool2d(layer, _MAP_SIZE).flatten(1) for layer in maps], 1))
+        grids = [functional.adaptive_avg_pool2d(layer, min(_MAP_SIZE, layer.shape[-1])) for layer in maps]
+        flat.append(torch.cat([grid.flatten(1) for grid in grids], 1))
     return torch.cat(flat)
 
 

@@ -16,9 +16,9 @@ from pipeline.geometry.topology import Topology, topology_of
 from pipeline.losses.chamfer import chamfer
 from pipeline.losses.feature_matching import feature_matching
 from pipeline.losses.smoothness import SmoothnessConfig, smoothness
+from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.pose_coordinates import Framing, fill_picture
 from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, Scene, SceneConfig, SceneGenerator
-from pipeline.networks.wide_resnet import FeatureExtractor, extract
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, pack, require_finite, unpack

@@ -24,7 +24,8 @@ class Curve:
         self.rows.append(row)
 
     def write(self, path: Path) -> None:
-        """Write the rows as CSV under one line of names, atomically."""
-        lines = [",".join(self.rows[0]), *(",".join(map(str, row.values())) for row in self.rows)]
+        """Write the rows as CSV under one line of names, atomically; without rows the one name is `iteration`."""
+        names = self.rows[0] if self.rows else ["iteration"]
+        lines = [",".join(names), *(",".join(map(str, row.values())) for row in self.rows)]
         with atomic_path(path) as temporary:
             temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")

@@ -12,9 +12,10 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
+from pipeline.errors import ConfigError
 from pipeline.losses.image_distance import Features, feature_distance
+from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, Reconstruction
-from pipeline.networks.wide_resnet import FeatureExtractor
 
 FIRST_HEAD = 2
 """Index of the ensemble's first candidate, after the recorded pose and the student's."""
@@ -160,6 +161,15 @@ def comparable(features: Features, map_weights: tuple[float, ...]) -> list[Float
     pictures, *maps = features[: len(map_weights)]
     directions = [functional.normalize(layer, dim=1) for layer in maps]
     return [weight * layer for weight, layer in zip(map_weights, [pictures, *directions], strict=True)]
+
+
+def require_maps(map_weights: tuple[float, ...], extractor: FeatureExtractor, key: str) -> None:
+    """Raise ConfigError, naming the parameter, where more maps are weighted than the extractor has."""
+    if len(map_weights) > extractor.maps:
+        raise ConfigError(
+            f"{key} has {len(map_weights)} weights, but the features are {extractor.maps} maps, the pictures "
+            "themselves included; give one weight a map, from the first on"
+        )
 
 
 def explore(

@@ -1,5 +1,6 @@
 """Train the network whose features pictures are compared in (paper section 4.1: WRN-16-4 on CIFAR-10)."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,9 +25,10 @@ from pipeline.training.curves import Curve
 class FeaturesConfig:
     """Say which network learns what, and how fast."""
 
-    method: Literal["classification", "rotation", "transfer"]
+    method: Literal["classification", "rotation", "transfer", "pretrained"]
     """Tell the data set's categories apart; or (self-supervised, no label at all) by how many right angles a picture
-    was turned (Gidaris et al., 2018); or keep the features of given weights and learn only a classifier on them."""
+    was turned (Gidaris et al., 2018); or keep the features of given weights and learn only a classifier on them; or
+    learn nothing and take a given network of another architecture as it is."""
     depth: int
     """Layers of the wide residual network: 6 N + 4."""
     width: int
@@ -43,6 +45,8 @@ class FeaturesConfig:
     label_smoothing: float
     color_weight: float
     """Weight of the pictures' own colours beside the network's features wherever pictures are compared."""
+    distance: float
+    """Mean distance of two photographs, summed over the feature maps, to which a `pretrained` network is scaled."""
     crop_margin: int
     """The largest random shift, in pixels; the border is reflected."""
     precision: Literal["float32", "bfloat16"]
@@ -167,6 +171,19 @@ def accuracy(network: WideResNet, pictures: Pictures, config: FeaturesConfig) ->
 def trials(pictures: Pictures, config: FeaturesConfig) -> int:
     """Return the number of answers `accuracy` is a mean of."""
     return len(pictures.images) * (4 if config.method == "rotation" else 1)
+
+
+def measure(path: Path, test: Pictures, config: FeaturesConfig, device: torch.device) -> dict[str, float]:
+    """Measure the accuracy of the weights as they are stored."""
+    network = load_wide_resnet(path, device)
+    value, n = accuracy(network, test, config), trials(test, config)
+    error = math.sqrt(value * (1 - value) / n)
+    return {"accuracy": value, "accuracy_standard_error": error, "n": n, "parameters": count_parameters(network)}
+
+
+def count_parameters(network: nn.Module) -> int:
+    """Return the number of weights and biases."""
+    return sum(parameter.numel() for parameter in network.parameters())
 
 
 def one_cycle(iteration: int, iterations: int, warm_up: float) -> float:

@@ -10,10 +10,10 @@ from tqdm import tqdm
 
 from pipeline.geometry.camera import pose_to_tensor
 from pipeline.losses.image_distance import feature_distance
+from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel, Reconstruction
-from pipeline.networks.wide_resnet import FeatureExtractor, extract
 from pipeline.training.checkpoint import Checkpoint
-from pipeline.training.exploration import comparable, flipped
+from pipeline.training.exploration import comparable, flipped, require_maps
 
 Loss = Callable[[Reconstruction], Float[Tensor, " B"]]
 
@@ -120,6 +120,7 @@ def fine_tune(
     `feature_distance_*`, then `textures`, `faces`, `directions` and `test_index`. Goes on from the checkpoint's
     last batch.
     """
+    require_maps(config.map_weights, extractor, "fine_tune.map_weights")
     model.requires_grad_(False)
     index = torch.arange(len(images) if config.photographs is None else min(config.photographs, len(images)))
     restored = checkpoint.load()

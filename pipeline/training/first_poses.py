@@ -16,10 +16,10 @@ from torch.nn import functional
 from tqdm import tqdm
 
 from pipeline.losses.image_distance import pairwise_feature_distance
+from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_coordinates import PoseCoordinates
 from pipeline.networks.scene_generator import SceneGenerator
-from pipeline.networks.wide_resnet import FeatureExtractor, extract
 from pipeline.training.azimuths import ConsensusConfig, agree_on_azimuths, bins
 from pipeline.training.warm_up import WarmUpConfig, render_sample
 
@@ -166,7 +166,7 @@ def _distances(
 
 
 def _directions(images: Float[Tensor, "N 3 H W"], extractor: FeatureExtractor) -> list[Float[Tensor, "N _ _ _"]]:
-    """Scale the feature vectors of the second and third maps to length 1: colours and edges are paint."""
+    """Scale the feature vectors of all maps but the first to length 1: colours and edges are paint."""
     return [functional.normalize(layer.float(), dim=1).half() for layer in extract(extractor, images, _CHUNK)[2:]]
 
 

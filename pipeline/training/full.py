@@ -14,15 +14,23 @@ from pipeline.geometry.camera import Pose
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.networks.discriminator import ViewDiscriminator
+from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel, FullModelConfig
 from pipeline.networks.pose_coordinates import POSE_COORDINATES
 from pipeline.networks.scene_generator import SceneGenerator
-from pipeline.networks.wide_resnet import FeatureExtractor, extract
 from pipeline.rendering.renderer import Mesh
 from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, Part, pack, require_finite, unpack
 from pipeline.training.curves import Curve
-from pipeline.training.exploration import Estimate, ExplorationConfig, Record, explore, first_record, refining
+from pipeline.training.exploration import (
+    Estimate,
+    ExplorationConfig,
+    Record,
+    explore,
+    first_record,
+    refining,
+    require_maps,
+)
 from pipeline.training.first_poses import FirstPosesConfig, first_poses, learn_poses
 from pipeline.training.full_losses import FullLoss, LossConfig
 from pipeline.training.warm_up import WarmUpConfig, warm_up
@@ -193,6 +201,7 @@ def train_full(
 
     `scenes` are the base shape's generators, for the warm-up. Raises TrainingDiverged when the loss is not finite.
     """
+    require_maps(config.exploration.map_weights, extractor, "train_full.exploration.map_weights")
     photographs = Photographs(images, extract(extractor, images, config.batch_size))
     trainer = FullTrainer(config, photographs, extractor, base, seed)
     curve, recent, first = Curve(), [], 0

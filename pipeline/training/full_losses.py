@@ -13,8 +13,8 @@ from pipeline.losses.smoothness import SmoothnessConfig, smoothness
 from pipeline.losses.total_variation import total_variation
 from pipeline.losses.view_prior import reverse_gradient, view_prior_loss
 from pipeline.networks.discriminator import ViewDiscriminator
+from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, Reconstruction
-from pipeline.networks.wide_resnet import FeatureExtractor
 from pipeline.training.exploration import Best, Estimate
 
 

@@ -9,8 +9,9 @@ import torch
 from pipeline.errors import TrainingDiverged
 from pipeline.geometry.camera import CameraConfig
 from pipeline.losses.smoothness import SmoothnessConfig
+from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, Scene
-from pipeline.networks.wide_resnet import FeatureExtractor, WideResNet
+from pipeline.networks.wide_resnet import WideResNet
 from pipeline.rendering.renderer import RendererConfig
 from pipeline.seeding import generator, initialised
 from pipeline.training import base_shape

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from pipeline.errors import TrainingDiverged
+from pipeline.networks.feature_extractor import extract
 from pipeline.networks.pose_coordinates import PoseRange
-from pipeline.networks.wide_resnet import extract
 from pipeline.seeding import generator
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.exploration import score

@@ -7,7 +7,8 @@ import pytest
 import torch
 
 from pipeline.errors import ConfigError, DataError, TrainingDiverged
-from pipeline.networks.wide_resnet import WideResNet, load_wide_resnet, save_feature_extractor
+from pipeline.networks.feature_extractor import save_feature_extractor
+from pipeline.networks.wide_resnet import WideResNet, load_wide_resnet
 from pipeline.seeding import generator
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.features import (
@@ -35,6 +36,7 @@ CONFIG = FeaturesConfig(
     weight_decay=5e-4,
     label_smoothing=0.1,
     color_weight=2.0,
+    distance=10.0,
     crop_margin=2,
     precision="float32",
     checkpoint_every=3,

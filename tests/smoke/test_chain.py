@@ -121,7 +121,7 @@ def test_own_photographs_take_one_command(project: Path, tmp_path: Path) -> None
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.new("RGB", (40, 32), (number, 0, 0)).save(path)
     options = {"size": "laptop", "ablation": "none", "seed": 0, "dataset": "market", "category": "cart"}
-    options |= {"row": "cifar10-automobile", "source": tmp_path / "pictures"}
+    options |= {"row": "cifar10-automobile", "source": tmp_path / "pictures", "features": None}
     assert turn_on(project / "params.yaml", Namespace(**options)) == "market-cart"
     assert _stages_run(run(project, "dvc", "repro", "prepare_data@market")) == ["prepare_data"]
     assert read_json(project / "data/prepared/market/index.json")["categories"] == ["cart", "stall"]

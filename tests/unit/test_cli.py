@@ -13,8 +13,9 @@ from ruamel.yaml import YAML
 from pipeline.cli import doctor
 from pipeline.cli.__main__ import main
 from pipeline.files import save_tensors
+from pipeline.networks.feature_extractor import save_feature_extractor
 from pipeline.networks.full_model import full_model_texts
-from pipeline.networks.wide_resnet import WideResNet, save_feature_extractor
+from pipeline.networks.wide_resnet import WideResNet
 from tests.tiny_full_model import photographs, tiny_model
 
 ROOT = Path(__file__).parents[2]

@@ -9,7 +9,8 @@ from pipeline.evaluation.evaluate import EvaluateConfig, Learned, evaluate_image
 from pipeline.evaluation.shape_metrics import ShapeConfig, silhouettes
 from pipeline.geometry.camera import CameraConfig, Pose
 from pipeline.geometry.icosphere import icosphere
-from pipeline.networks.wide_resnet import FeatureExtractor, WideResNet
+from pipeline.networks.feature_extractor import FeatureExtractor
+from pipeline.networks.wide_resnet import WideResNet
 from pipeline.rendering.renderer import RendererConfig
 from pipeline.seeding import generator, initialised
 

@@ -6,8 +6,8 @@ import torch
 from torch import Tensor
 
 from pipeline.losses.image_distance import feature_distance
+from pipeline.networks.feature_extractor import extract
 from pipeline.networks.full_model import FullModel, Reconstruction
-from pipeline.networks.wide_resnet import extract
 from pipeline.seeding import generator
 from pipeline.training.exploration import Estimate, Record, candidates, comparable, explore, first_record, score
 from tests.tiny_full_model import TRAINING, photographs, tiny_extractor, tiny_model

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline.datasets.images import load_images
+from pipeline.datasets.images import load_images, load_images_of_size
 from pipeline.errors import DataError
 from pipeline.files import read_json
 from stages import prepare_data
@@ -125,6 +125,13 @@ def test_earlier_outputs_survive_bad_input(tmp_path: Path, prepare: Callable[...
 def test_an_unprepared_category_is_named(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"van.npy does not exist; run prepare_data"):
         load_images(tmp_path / "van.npy")
+
+
+def test_pictures_of_another_size_than_the_renderings_are_named(tmp_path: Path) -> None:
+    np.save(tmp_path / "car.npy", np.zeros((2, 32, 32, 3), dtype=np.uint8))
+    assert load_images_of_size(tmp_path / "car.npy", 32).shape == (2, 3, 32, 32)
+    with pytest.raises(DataError, match=r"car.npy holds pictures of 32 px, but renderer.size is 64; give"):
+        load_images_of_size(tmp_path / "car.npy", 64)
 
 
 def assert_refused(prepare: Callable[..., Path], kind: str, source: Path, sentence: str) -> None:

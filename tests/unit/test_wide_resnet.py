@@ -7,14 +7,13 @@ import torch
 
 from pipeline.errors import DataError
 from pipeline.files import save_tensors
-from pipeline.networks.wide_resnet import (
+from pipeline.networks.feature_extractor import (
     FeatureExtractor,
-    WideResNet,
     extract,
     load_feature_extractor,
-    load_wide_resnet,
     save_feature_extractor,
 )
+from pipeline.networks.wide_resnet import WideResNet, load_wide_resnet
 from pipeline.seeding import generator, initialised
 
 CPU = torch.device("cpu")

@@ -1,0 +1,39 @@
+"""Take over a network that others trained (paper section 4.2: AlexNet on ImageNet)."""
+
+from pathlib import Path
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+
+from pipeline.losses.image_distance import feature_distance
+from pipeline.networks.feature_extractor import FeatureExtractor
+from pipeline.networks.pretrained import PretrainedNetwork, read_pretrained
+from pipeline.seeding import generator
+
+_PICTURES = 512
+_BATCH = 64
+
+
+def adopt(path: Path, images: UInt8[Tensor, "N 3 H W"], distance: float, seed: int) -> PretrainedNetwork:
+    """Read a network's weights and scale its maps, on the images' device.
+
+    Two photographs drawn at random are then `distance` apart on average, of which each map has an equal share: networks
+    differ by orders of magnitude in the size of their features, weights of losses need not. Raises DataError where the
+    file holds no network that is known.
+    """
+    network = read_pretrained(path).to(images.device)
+    network.scale.copy_(distance / network.maps / mean_distances(network, images, seed))
+    return network
+
+
+@torch.no_grad()
+def mean_distances(network: PretrainedNetwork, images: UInt8[Tensor, "N 3 H W"], seed: int) -> Float[Tensor, " maps"]:
+    """Return how far pairs of photographs, drawn at random, are apart in each map (eq. 1)."""
+    extractor = FeatureExtractor(network, color_weight=0.0)
+    order = torch.randperm(len(images), generator=generator(seed, "features", "pairs"))[:_PICTURES]
+    distances = []
+    for index in order.to(images.device).split(_BATCH):
+        _, *maps = extractor(images[index].float() / 255)
+        distances.append(torch.stack([feature_distance([layer], [layer.roll(1, dims=0)]) for layer in maps], dim=1))
+    return torch.cat(distances).mean(dim=0)
