@@ -15,11 +15,12 @@ from torch.profiler import profile, record_function
 
 from pipeline.config import load
 from pipeline.geometry.icosphere import icosphere
-from pipeline.networks.feature_extractor import FeatureExtractor, extract
+from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.wide_resnet import WideResNet
 from pipeline.rendering.renderer import Mesh
 from pipeline.seeding import generator, initialised
-from pipeline.training.full import FullTrainer, FullTrainingConfig, Photographs
+from pipeline.training.full import FullTrainer, FullTrainingConfig
+from pipeline.training.photographs import Photographs
 
 PARAMETERS = Path(__file__).parents[1] / "params.yaml"
 SECTIONS = ("train_full", "rows.toybox-car.train_full", "sizes.laptop.train_full")
@@ -34,7 +35,7 @@ def laptop_trainer() -> FullTrainer:
     with initialised(0):
         extractor = FeatureExtractor(WideResNet(16, 2, 4), color_weight=20.0)
     pictures = torch.randint(0, 256, (256, 3, 32, 32), generator=generator(0)).to(torch.uint8)
-    return FullTrainer(config, Photographs(pictures, extract(extractor, pictures, 64)), extractor, base, seed=0)
+    return FullTrainer(config, Photographs(pictures, extractor, 64, memory=2**30), extractor, base, seed=0)
 
 
 def networks(trainer: FullTrainer) -> list[nn.Module]:

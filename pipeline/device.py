@@ -1,4 +1,6 @@
-"""Choose where tensors live."""
+"""Choose where tensors live, and how many of them."""
+
+from typing import Any
 
 import torch
 
@@ -17,3 +19,10 @@ def resolve_device(name: str) -> torch.device:
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     return torch.device(name)
+
+
+def resolve_memory(gibibytes: Any) -> int:
+    """Turn the parameter `memory` into bytes. Raises ConfigError for anything but a number above zero."""
+    if isinstance(gibibytes, bool) or not isinstance(gibibytes, int | float) or gibibytes <= 0:
+        raise ConfigError(f"memory is {gibibytes!r}; expected a number of GiB above 0, such as 8")
+    return int(gibibytes * 2**30)

@@ -35,8 +35,9 @@ def main() -> None:
     reconstructions = load_reconstructions(arguments.reconstructions)
     photographs = load_photographs(arguments.test_images, reconstructions.test_index)
     features = load_feature_extractor(arguments.features, torch.device("cpu"))
-    photographs_to_retrieve = load_images(arguments.train_images).float() / 255
-    figures, table = evaluate_images(photographs, photographs_to_retrieve, reconstructions, features, config)
+    figures, table = evaluate_images(
+        photographs, load_images(arguments.train_images), reconstructions, features, config
+    )
     test = load_true_split(arguments.truth, "test", arguments.category)
     training = load_true_split(arguments.truth, "train", arguments.category)
     if test is not None and training is not None:

@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from pipeline.config import load, scalar
-from pipeline.datasets.images import load_images_of_size
-from pipeline.device import resolve_device
+from pipeline.datasets.images import load_images_of_size, place_images
+from pipeline.device import resolve_device, resolve_memory
 from pipeline.files import save_tensors, write_json
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.scene_generator import scene_texts
@@ -27,10 +27,12 @@ def main() -> None:
     )
     config = load(arguments.params, BaseShapeConfig, arguments.sections)
     device = resolve_device(scalar(arguments.params, "device"))
+    memory = resolve_memory(scalar(arguments.params, "memory"))
     key = restart_key(config, [arguments.images, arguments.features], arguments.seed)
     shapes = learn_base_shape(
         config,
-        load_images_of_size(arguments.images, config.renderer.size).to(device),
+        place_images([load_images_of_size(arguments.images, config.renderer.size)], device, memory),
+        memory,
         load_feature_extractor(arguments.features, device),
         arguments.seed,
         arguments.checkpoints,

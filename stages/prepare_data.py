@@ -4,16 +4,18 @@ from pathlib import Path
 
 from pipeline.config import load
 from pipeline.datasets.prepare import PrepareConfig, prepare
-from pipeline.datasets.prepared import write_images, write_truth
+from pipeline.datasets.prepared import write_truth
+from pipeline.files import atomic_path
 from stages.command_line import parse, run
 
 
 def main() -> None:
-    """Read the whole source before anything is written."""
+    """Write both outputs once the whole source has been read."""
     arguments = parse(__doc__, out=Path, truth=Path)
-    dataset = prepare(load(arguments.params, PrepareConfig, arguments.sections))
-    write_images(arguments.out, dataset)
-    write_truth(arguments.truth, dataset)
+    config = load(arguments.params, PrepareConfig, arguments.sections)
+    with atomic_path(arguments.out) as folder:
+        truth = prepare(config, folder)
+        write_truth(arguments.truth, truth)
 
 
 if __name__ == "__main__":

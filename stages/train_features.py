@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from pipeline.config import load, scalar
-from pipeline.device import resolve_device
+from pipeline.device import resolve_device, resolve_memory
 from pipeline.files import write_json
 from pipeline.networks.feature_extractor import save_feature_extractor
 from pipeline.training.checkpoint import Checkpoint, restart_key
@@ -26,9 +26,10 @@ def main() -> None:
     arguments = parse(__doc__, **paths, seed=int)
     config = load(arguments.params, FeaturesConfig, arguments.sections)
     device = resolve_device(scalar(arguments.params, "device"))
+    memory = resolve_memory(scalar(arguments.params, "memory"))
     categories = list_categories(arguments.images)
-    train = load_pictures(arguments.images, categories, device)
-    test = load_pictures(arguments.test_images, categories, device)
+    train = load_pictures(arguments.images, categories, device, memory)
+    test = load_pictures(arguments.test_images, categories, device, memory)
     metadata = {"categories": " ".join(categories), "method": config.method}
     if config.method == "pretrained":
         given = adopt(arguments.initial, train.images, config.distance, arguments.seed)

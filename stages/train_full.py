@@ -3,8 +3,8 @@
 from pathlib import Path
 
 from pipeline.config import load, scalar
-from pipeline.datasets.images import load_images_of_size
-from pipeline.device import resolve_device
+from pipeline.datasets.images import load_images_of_size, place_images
+from pipeline.device import resolve_device, resolve_memory
 from pipeline.files import save_tensors, write_json
 from pipeline.geometry.camera import pose_to_tensor
 from pipeline.networks.feature_extractor import load_feature_extractor
@@ -31,11 +31,13 @@ def main() -> None:
     )
     config = load(arguments.params, FullTrainingConfig, arguments.sections)
     device = resolve_device(scalar(arguments.params, "device"))
+    memory = resolve_memory(scalar(arguments.params, "memory"))
     inputs = [arguments.images, arguments.features, arguments.base_shape, arguments.mesh]
     checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed))
     trainer, curve = train_full(
         config,
-        load_images_of_size(arguments.images, config.model.renderer.size).to(device),
+        place_images([load_images_of_size(arguments.images, config.model.renderer.size)], device, memory),
+        memory,
         load_feature_extractor(arguments.features, device),
         load_base(config, arguments.mesh, device),
         load_scene_generator(arguments.base_shape, device),

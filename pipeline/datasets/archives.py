@@ -1,6 +1,7 @@
 """Read trees of files from a folder or an archive, without unpacking anything."""
 
 import lzma
+import os
 import tarfile
 import zipfile
 import zlib
@@ -37,10 +38,11 @@ def read_tree(path: Path) -> Iterator[Entry]:
     """Yield every entry of a folder, a zip or a tar (plain, gz, bz2, xz), in the order it is stored.
 
     Raises DataError if the source is missing, truncated or damaged, or holds an entry that points outside of it: an
-    absolute path, a path with `..`, a link or a device.
+    absolute path, a path with `..`, a link or a device. One file's content is held at a time, and besides it the names
+    of one folder, or the table of a zip; a tar takes no memory that grows with its length.
     """
     if path.is_dir():
-        yield from _read_folder(path)
+        yield from _read_folder(path, PurePosixPath())
         return
     if not path.is_file():
         raise DataError(f"{path} does not exist; expected a folder or a tar or zip archive")
@@ -53,10 +55,14 @@ def read_tree(path: Path) -> Iterator[Entry]:
         raise DataError(f"{path} is not a complete tar or zip archive ({error}); download or copy it again") from None
 
 
-def _read_folder(path: Path) -> Iterator[Entry]:
-    for entry in sorted(path.rglob("*")):
-        name = PurePosixPath(entry.relative_to(path).as_posix())
-        yield Entry(name, entry.read_bytes() if entry.is_file() else None)
+def _read_folder(path: Path, above: PurePosixPath) -> Iterator[Entry]:
+    with os.scandir(path) as found:
+        names = sorted(entry.name for entry in found)
+    for name in names:
+        entry = path / name
+        yield Entry(above / name, entry.read_bytes() if entry.is_file() else None)
+        if entry.is_dir() and not entry.is_symlink():
+            yield from _read_folder(entry, above / name)
 
 
 def _read_zip(path: Path) -> Iterator[Entry]:
@@ -71,6 +77,7 @@ def _read_zip(path: Path) -> Iterator[Entry]:
 def _read_tar(path: Path) -> Iterator[Entry]:
     with tarfile.open(path, "r|*", tarinfo=_Member) as archive:
         for member in archive:
+            archive.members.clear()  # tarfile remembers every header it has met
             name = _inside(path, member.name)
             if not (member.isfile() or member.isdir()):
                 raise DataError(f"{path}: '{member.name}' is a link or a device; expected only files and folders")

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.datasets.archives import read_tree
-from pipeline.datasets.folder import FolderConfig, read_pictures, stack
-from pipeline.datasets.prepared import Dataset
+from pipeline.datasets.prepared import Names, Truth
 from pipeline.datasets.truth import Viewpoints
 from pipeline.errors import DataError
 
@@ -23,21 +22,19 @@ Angles = dict[str, tuple[float, ...]]
 """Azimuth, elevation and roll in radians, by a picture's path below the table's folder."""
 
 
-def read_posed_folder(path: Path, config: FolderConfig) -> Dataset:
-    """Read pictures as `read_folder` does, and their viewpoints from `poses.csv` above `train` and `test`.
+def read_viewpoints(path: Path, names: Names) -> Truth:
+    """Read the viewpoints of pictures from `poses.csv` above `train` and `test`.
 
-    Raises DataError also for a table that is missing or cannot be read, and for a picture without a row in it.
+    Raises DataError for a table that is missing or cannot be read, and for a picture without a row in it.
     """
-    pictures = read_pictures(path, config)
     angles = _read_angles(path)
-    truth = {
+    return {
         split: {
-            category: _truth(path, angles, [f"{split}/{category}/{name}" for name in sorted(named)])
-            for category, named in group.items()
+            category: _truth(path, angles, [f"{split}/{category}/{name}" for name in ordered])
+            for category, ordered in group.items()
         }
-        for split, group in pictures.items()
+        for split, group in names.items()
     }
-    return Dataset(stack(pictures), truth)
 
 
 def has_table(path: Path) -> bool:

@@ -6,8 +6,8 @@ from typing import Literal
 
 from pipeline.datasets.cifar10 import Cifar10Config, read_cifar10
 from pipeline.datasets.folder import FolderConfig, read_folder
-from pipeline.datasets.posed_folder import read_posed_folder
-from pipeline.datasets.prepared import Dataset
+from pipeline.datasets.posed_folder import read_viewpoints
+from pipeline.datasets.prepared import Truth, write_images, write_pictures
 from pipeline.datasets.toybox.toybox import ToyboxConfig, make_toybox
 
 
@@ -32,14 +32,24 @@ class PrepareConfig:
     posed_folder: FolderConfig
 
 
-def prepare(config: PrepareConfig) -> Dataset:
-    """Read the whole dataset. Raises DataError, naming file and remedy, for anything that cannot be used."""
+def prepare(config: PrepareConfig, folder: Path) -> Truth:
+    """Write the whole dataset's pictures to a folder and return its ground truth.
+
+    Pictures of a folder or an archive are decoded and written one at a time. Raises DataError, naming file and remedy,
+    for anything that cannot be used; the folder is then incomplete.
+    """
+    source = Path(config.source)
     match config.kind:
         case "toybox":
-            return make_toybox(config.toybox)
+            images, truth = make_toybox(config.toybox)
+            write_images(folder, images)
+            return truth
         case "cifar10":
-            return read_cifar10(Path(config.source), config.cifar10)
+            write_images(folder, read_cifar10(source, config.cifar10).images)
+            return {}
         case "folder":
-            return read_folder(Path(config.source), config.folder)
+            write_pictures(folder, read_folder(source, config.folder))
+            return {}
         case "posed_folder":
-            return read_posed_folder(Path(config.source), config.posed_folder)
+            names = write_pictures(folder, read_folder(source, config.posed_folder))
+            return read_viewpoints(source, names)

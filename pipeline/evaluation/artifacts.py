@@ -81,7 +81,7 @@ def load_reconstructions(path: Path) -> Reconstructions:
 
 def load_photographs(path: Path, index: Int[Tensor, " B"]) -> Float[Tensor, "B 3 H W"]:
     """Read the chosen photographs of a prepared category, in [0, 1]."""
-    return load_images(path)[index].float() / 255
+    return load_images(path)[index].contiguous().float() / 255
 
 
 def load_true_split(folder: Path, split: str, category: str) -> Truth | None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from pipeline.evaluation.alignment import fit_alignment, turn_pose, turn_vertices
@@ -63,7 +63,7 @@ Columns = dict[str, Tensor]
 
 def evaluate_images(
     photographs: Float[Tensor, "B 3 H W"],
-    training: Float[Tensor, "N 3 H W"],
+    training: UInt8[Tensor, "N 3 H W"],
     reconstructions: Reconstructions,
     extractor: FeatureExtractor,
     config: EvaluateConfig,

@@ -1,7 +1,7 @@
 """A baseline of reconstruction without any 3D: the training photograph with the most similar colours."""
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn.functional import one_hot
 
@@ -10,9 +10,15 @@ _LEVELS = 4
 _CHUNK = 250
 
 
-def retrieve(photographs: Float[Tensor, "B 3 H W"], training: Float[Tensor, "N 3 H W"]) -> Float[Tensor, "B 3 H W"]:
-    """Return for each photograph the training photograph whose colour histogram is nearest in L1."""
-    return training[torch.cdist(histograms(photographs), histograms(training), p=1).argmin(dim=1)]
+def retrieve(photographs: Float[Tensor, "B 3 H W"], training: UInt8[Tensor, "N 3 H W"]) -> Float[Tensor, "B 3 H W"]:
+    """Return for each photograph the training photograph whose colour histogram is nearest in L1.
+
+    Training photographs may stay on disk: they are read a few at a time.
+    """
+    known = torch.cat([histograms(chunk.float() / 255) for chunk in training.split(_CHUNK)])
+    wanted = histograms(photographs).split(_CHUNK)
+    nearest = torch.cat([torch.cdist(chunk, known, p=1).argmin(dim=1) for chunk in wanted])
+    return training[nearest].contiguous().float() / 255
 
 
 def histograms(images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B bins"]:

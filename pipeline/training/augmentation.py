@@ -1,25 +1,24 @@
-"""Draw varied batches from photographs that stay on the device as bytes."""
+"""Vary batches of photographs, as bytes."""
 
 import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 
-def crop_and_mirror(
-    images: UInt8[Tensor, "N 3 H W"], index: Int[Tensor, " B"], margin: int, rng: torch.Generator
-) -> UInt8[Tensor, "B 3 H W"]:
-    """Select pictures, each shifted by up to `margin` pixels a side (its border reflected) and mirrored half the time.
+def crop_and_mirror(images: UInt8[Tensor, "B 3 H W"], margin: int, rng: torch.Generator) -> UInt8[Tensor, "B 3 H W"]:
+    """Shift each picture by up to `margin` pixels a side (its border reflected) and mirror half of them.
 
     One gather does it all: the reflected and mirrored coordinates are computed, never a padded picture. The result is
     laid out channels last.
     """
-    batch, (height, width) = len(index), images.shape[2:]
+    batch, _, height, width = images.shape
     shift_y, shift_x = torch.randint(-margin, margin + 1, (2, batch, 1), generator=rng, device=rng.device)
     mirrored = torch.randint(2, (batch, 1), generator=rng, device=rng.device).bool()
     row = _reflect(torch.arange(height, device=rng.device) + shift_y, height)
     column = _reflect(torch.arange(width, device=rng.device) + shift_x, width)
     column = torch.where(mirrored, column.flip(1), column)
-    return images[index[:, None, None], :, row[:, :, None], column[:, None, :]].permute(0, 3, 1, 2)
+    picture = torch.arange(batch, device=rng.device)
+    return images[picture[:, None, None], :, row[:, :, None], column[:, None, :]].permute(0, 3, 1, 2)
 
 
 def turn(images: UInt8[Tensor, "B 3 H W"], quarters: Int[Tensor, " B"]) -> UInt8[Tensor, "B 3 H W"]:

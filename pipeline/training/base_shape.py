@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int
 from torch import Tensor
 from tqdm import tqdm
 
+from pipeline.datasets.images import Images
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.symmetry import mirror_index
@@ -16,13 +17,14 @@ from pipeline.geometry.topology import Topology, topology_of
 from pipeline.losses.chamfer import chamfer
 from pipeline.losses.feature_matching import feature_matching
 from pipeline.losses.smoothness import SmoothnessConfig, smoothness
-from pipeline.networks.feature_extractor import FeatureExtractor, extract
+from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.pose_coordinates import Framing, fill_picture
 from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, Scene, SceneConfig, SceneGenerator
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, pack, require_finite, unpack
 from pipeline.training.curves import Curve
+from pipeline.training.photographs import Photographs
 from pipeline.training.viewpoints import LightConfig, ViewpointConfig, sample_lights, sample_viewpoints
 
 
@@ -96,16 +98,6 @@ class BaseShapes(NamedTuple):
     curve: Curve
 
 
-class Photographs(NamedTuple):
-    """Features of the category's photographs, computed once (one entry a layer)."""
-
-    features: list[Float[Tensor, "N C H W"]]
-
-    def batch(self, index: Int[Tensor, " B"]) -> list[Float[Tensor, "B C H W"]]:
-        """Return the float32 features of some photographs."""
-        return [layer[index].float() for layer in self.features]
-
-
 class SeedTrainer:
     """Train one seed's generators."""
 
@@ -144,9 +136,9 @@ class SeedTrainer:
 
     def reconstruction_loss(self, images: Float[Tensor, "B 3 H W"]) -> dict[str, Tensor]:
         """Compare renderings with as many random photographs (paper eqs. 1 to 3)."""
-        total = len(self.photographs.features[0])
+        total = len(self.photographs.images)
         index = torch.randint(total, (len(images),), generator=self.rng, device=self.rng.device)
-        real, generated = self.photographs.batch(index), self.extractor(images)
+        (_, real), generated = self.photographs.batch(index), self.extractor(images)
         balance = self.config.reconstruction_balance
         losses = {"chamfer": chamfer(real, generated), "feature_matching": feature_matching(real, generated)}
         losses["reconstruction"] = balance * losses["chamfer"] + (1 - balance) * losses["feature_matching"]
@@ -192,7 +184,8 @@ def build_sphere(subdivisions: int, device: torch.device) -> Sphere:
 
 def learn_base_shape(
     config: BaseShapeConfig,
-    images: UInt8[Tensor, "N 3 H W"],
+    images: Images,
+    memory: int,
     extractor: FeatureExtractor,
     seed: int,
     checkpoints: Path,
@@ -200,10 +193,11 @@ def learn_base_shape(
 ) -> BaseShapes:
     """Learn one base shape a seed and pick the one whose renderings are closest to the photographs.
 
-    Restart states live under `checkpoints`; a killed call that is repeated returns the same bytes.
+    Photographs and their kept features may take `memory` bytes. Restart states live under `checkpoints`; a killed call
+    that is repeated returns the same bytes.
     """
     sphere = build_sphere(config.subdivisions, next(extractor.parameters()).device)
-    photographs = Photographs([layer.half() for layer in extract(extractor, images, config.batch_size)])
+    photographs = Photographs(images, extractor, config.batch_size, memory)
     curve, shapes, scores, scenes = Curve(), [], [], []
     for index in range(config.seeds):
         trainer = SeedTrainer(config, sphere, photographs, extractor, seed, index)

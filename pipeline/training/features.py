@@ -7,18 +7,21 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import torch
-from jaxtyping import Int, UInt8
+from jaxtyping import Int
 from torch import Tensor, nn
 from torch.nn import functional
 from tqdm import tqdm
 
-from pipeline.datasets.images import load_images
+from pipeline.datasets.images import Images, load_images, place_images
 from pipeline.errors import ConfigError, DataError
 from pipeline.networks.wide_resnet import WideResNet, load_wide_resnet
 from pipeline.seeding import generator, initialised
 from pipeline.training.augmentation import crop_and_mirror, to_float, turn
 from pipeline.training.checkpoint import Checkpoint, pack, require_finite, unpack
 from pipeline.training.curves import Curve
+
+_SAMPLE = 50_000
+"""Evenly spread pictures, at least, whose colours stand for those of all."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +59,9 @@ class FeaturesConfig:
 
 
 class Pictures(NamedTuple):
-    """Hold a split of a data set on the device: pictures of all categories with their category's number."""
+    """Hold a split of a data set: pictures of all categories, and their category's number on the device."""
 
-    images: UInt8[Tensor, "N 3 H W"]
+    images: Images
     labels: Int[Tensor, " N"]
 
 
@@ -70,11 +73,11 @@ def list_categories(folder: Path) -> list[str]:
     return categories
 
 
-def load_pictures(folder: Path, categories: Sequence[str], device: torch.device) -> Pictures:
-    """Load the categories of a prepared split onto the device. Raises DataError where one is missing."""
+def load_pictures(folder: Path, categories: Sequence[str], device: torch.device, memory: int) -> Pictures:
+    """Load the categories of a prepared split, see `place_images`. Raises DataError where one is missing."""
     images = [load_images(folder / f"{category}.npy") for category in categories]
     labels = [torch.full((len(group),), label) for label, group in enumerate(images)]
-    return Pictures(torch.cat(images).to(device), torch.cat(labels).to(device))
+    return Pictures(place_images(images, device, memory), torch.cat(labels).to(device))
 
 
 class FeatureTrainer:
@@ -101,7 +104,7 @@ class FeatureTrainer:
         epoch, position = divmod(iteration, self.iterations_per_epoch)
         order = torch.randperm(len(self.train.images), generator=generator(self.seed, "features", "order", epoch))
         index = order[position * self.batch_size : (position + 1) * self.batch_size].to(self.rng.device)
-        images = crop_and_mirror(self.train.images, index, self.config.crop_margin, self.rng)
+        images = crop_and_mirror(self.train.images[index], self.config.crop_margin, self.rng)
         if self.config.method != "rotation":
             return Pictures(images, self.train.labels[index])
         quarters = torch.randint(4, (len(index),), generator=self.rng, device=self.rng.device)
@@ -207,8 +210,9 @@ def _build_network(config: FeaturesConfig, train: Pictures, initial: Path, seed:
         )
     with initialised(seed, "features", "network"):
         network = WideResNet(config.depth, config.width, classes)
+    sample = train.images[:: max(1, len(train.images) // _SAMPLE)]
     for channel, name in enumerate(("red", "green", "blue")):
-        std, mean = torch.std_mean(train.images[:, channel].float() / 255)
+        std, mean = torch.std_mean(sample[:, channel].float() / 255)
         if std == 0:
             raise DataError(f"the {name} of all training pictures is the same everywhere; expected colour photographs")
         network.std[:, channel], network.mean[:, channel] = std.cpu(), mean.cpu()

@@ -8,6 +8,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 from tqdm import tqdm
 
+from pipeline.datasets.images import Images
 from pipeline.geometry.camera import pose_to_tensor
 from pipeline.losses.image_distance import feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
@@ -109,7 +110,7 @@ def keep_better(outputs: Outputs, first: dict[str, Tensor], loss: Loss) -> None:
 
 def fine_tune(
     config: FineTuneConfig,
-    images: UInt8[Tensor, "N 3 H W"],
+    images: Images,
     model: FullModel,
     extractor: FeatureExtractor,
     checkpoint: Checkpoint,

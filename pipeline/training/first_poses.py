@@ -38,6 +38,7 @@ class FirstPosesConfig:
         box_size: longer side of the box over the side of a cut picture.
         temperature: of the vote, in standard deviations of a photograph's distances; small ones let the nearest decide.
         concentration: of the votes' kernel over azimuths (von Mises); 20 is about 13 degrees wide.
+        photographs: how many get first poses, from the first on: each is compared with every rendering at once.
         lessons: iterations in which the pose networks learn to read the first poses off the photographs.
     """
 
@@ -49,6 +50,7 @@ class FirstPosesConfig:
     temperature: float
     concentration: float
     consensus: ConsensusConfig
+    photographs: int
     lessons: int
 
 

@@ -2,19 +2,19 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, Int, UInt8
+from jaxtyping import Float, Int
 from torch import Tensor
 from tqdm import tqdm
 
+from pipeline.datasets.images import Images
 from pipeline.files import load_tensors
 from pipeline.geometry.camera import Pose
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.networks.discriminator import ViewDiscriminator
-from pipeline.networks.feature_extractor import FeatureExtractor, extract
+from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, FullModelConfig
 from pipeline.networks.pose_coordinates import POSE_COORDINATES
 from pipeline.networks.scene_generator import SceneGenerator
@@ -33,6 +33,7 @@ from pipeline.training.exploration import (
 )
 from pipeline.training.first_poses import FirstPosesConfig, first_poses, learn_poses
 from pipeline.training.full_losses import FullLoss, LossConfig
+from pipeline.training.photographs import Photographs
 from pipeline.training.warm_up import WarmUpConfig, warm_up
 
 
@@ -72,18 +73,6 @@ class FullTrainingConfig:
     """Iterations that one row of the curve averages."""
     checkpoint_every: int
     """Iterations between restart states."""
-
-
-class Photographs(NamedTuple):
-    """The training photographs of a category with their features, computed once."""
-
-    images: UInt8[Tensor, "N 3 H W"]
-    features: list[Float[Tensor, "N _ _ _"]]
-    """Half precision, which costs less than 0.1 % of a distance and halves the memory."""
-
-    def batch(self, index: Int[Tensor, " B"]) -> tuple[Float[Tensor, "B 3 H W"], list[Float[Tensor, "B _ _ _"]]]:
-        """Return some photographs in [0, 1] and their features in single precision."""
-        return self.images[index].float() / 255, [layer[index].float() for layer in self.features]
 
 
 class FullTrainer:
@@ -137,14 +126,18 @@ class FullTrainer:
         return {name: loss.item() for name, loss in losses.items()}
 
     def start_from(self, scenes: SceneGenerator) -> None:
-        """Learn to read the base shape's renderings, and record first poses of the photographs from them."""
-        config, images, first = self.config, self.photographs.images, self.config.first_poses
+        """Learn to read the base shape's renderings, and record first poses of the first photographs from them.
+
+        The pose networks, which learn them, read the poses of the others.
+        """
+        config, first = self.config, self.config.first_poses
         warm_up(self.model, scenes, config.warm_up, self.rng)
         if first is None:
             return
+        images = self.photographs.images[: first.photographs]
         poses = first_poses(self.model, scenes, self.extractor, images, first, config.warm_up, self.rng)
         learn_poses(self.model, images, poses, first, config.warm_up, self.rng)
-        self.record = Record(poses, self.record.shape)
+        self.record = Record(torch.cat([poses, self.record.pose[len(poses) :]]), self.record.shape)
 
     def estimate(self, images: Float[Tensor, "B 3 H W"]) -> Estimate:
         """Run all encoders and decoders on a batch of photographs."""
@@ -190,7 +183,8 @@ def load_base(config: FullTrainingConfig, path: Path, device: torch.device) -> M
 
 def train_full(
     config: FullTrainingConfig,
-    images: UInt8[Tensor, "N 3 H W"],
+    images: Images,
+    memory: int,
     extractor: FeatureExtractor,
     base: Mesh,
     scenes: SceneGenerator,
@@ -199,10 +193,11 @@ def train_full(
 ) -> tuple[FullTrainer, Curve]:
     """Train the full model, going on from the checkpoint where there is one.
 
-    `scenes` are the base shape's generators, for the warm-up. Raises TrainingDiverged when the loss is not finite.
+    `scenes` are the base shape's generators, for the warm-up; `memory` is what photographs and their kept features may
+    take, in bytes. Raises TrainingDiverged when the loss is not finite.
     """
     require_maps(config.exploration.map_weights, extractor, "train_full.exploration.map_weights")
-    photographs = Photographs(images, extract(extractor, images, config.batch_size))
+    photographs = Photographs(images, extractor, config.batch_size, memory)
     trainer = FullTrainer(config, photographs, extractor, base, seed)
     curve, recent, first = Curve(), [], 0
     if (restored := checkpoint.load()) is not None:

@@ -3,9 +3,10 @@
 from pathlib import Path
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Float
 from torch import Tensor
 
+from pipeline.datasets.images import Images
 from pipeline.losses.image_distance import feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.pretrained import PretrainedNetwork, read_pretrained
@@ -15,7 +16,7 @@ _PICTURES = 512
 _BATCH = 64
 
 
-def adopt(path: Path, images: UInt8[Tensor, "N 3 H W"], distance: float, seed: int) -> PretrainedNetwork:
+def adopt(path: Path, images: Images, distance: float, seed: int) -> PretrainedNetwork:
     """Read a network's weights and scale its maps, on the images' device.
 
     Two photographs drawn at random are then `distance` apart on average, of which each map has an equal share: networks
@@ -28,7 +29,7 @@ def adopt(path: Path, images: UInt8[Tensor, "N 3 H W"], distance: float, seed: i
 
 
 @torch.no_grad()
-def mean_distances(network: PretrainedNetwork, images: UInt8[Tensor, "N 3 H W"], seed: int) -> Float[Tensor, " maps"]:
+def mean_distances(network: PretrainedNetwork, images: Images, seed: int) -> Float[Tensor, " maps"]:
     """Return how far pairs of photographs, drawn at random, are apart in each map (eq. 1)."""
     extractor = FeatureExtractor(network, color_weight=0.0)
     order = torch.randperm(len(images), generator=generator(seed, "features", "pairs"))[:_PICTURES]

@@ -39,6 +39,8 @@ CONFIG = BaseShapeConfig(
     checkpoint_every=2,
 )
 
+MEMORY = 2**30
+
 
 @pytest.fixture(scope="module")
 def extractor() -> FeatureExtractor:
@@ -56,7 +58,7 @@ def images() -> torch.Tensor:
 
 
 def learn(folder: Path, images: torch.Tensor, extractor: FeatureExtractor, config: BaseShapeConfig) -> BaseShapes:
-    return learn_base_shape(config, images, extractor, 0, folder, "key")
+    return learn_base_shape(config, images, MEMORY, extractor, 0, folder, "key")
 
 
 def test_a_killed_run_resumes_to_the_same_bytes(

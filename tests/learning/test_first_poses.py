@@ -22,6 +22,7 @@ CONFIG = FirstPosesConfig(
     temperature=1.0,
     concentration=20.0,
     consensus=ConsensusConfig(3, 64, 0.3, 0.3, 5, 3.0),
+    photographs=300,
     lessons=60,
 )
 

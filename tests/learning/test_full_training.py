@@ -3,10 +3,12 @@
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 
+from pipeline.datasets.images import load_images, place_images
 from pipeline.errors import TrainingDiverged
 from pipeline.networks.feature_extractor import extract
 from pipeline.networks.pose_coordinates import PoseRange
@@ -14,9 +16,11 @@ from pipeline.seeding import generator
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.exploration import score
 from pipeline.training.fine_tune import FineTuneConfig, PhaseConfig, fine_tune
-from pipeline.training.full import FullTrainer, FullTrainingConfig, Photographs, train_full
+from pipeline.training.full import FullTrainer, FullTrainingConfig, train_full
+from pipeline.training.photographs import Photographs
 from tests.tiny_full_model import MODEL, TRAINING, base_mesh, photographs, tiny_extractor, tiny_model, tiny_scenes
 
+MEMORY = 2**30
 SINGLE_STAGE = replace(TRAINING, model=replace(MODEL, two_stage=False))
 FINE_TUNING = FineTuneConfig(
     None, 3, (0.5, 0.99), (0.1, 1.0, 2.0), 3, PhaseConfig(4, 0.05), PhaseConfig(6, 0.02), PhaseConfig(6, 0.02)
@@ -26,7 +30,7 @@ FINE_TUNING = FineTuneConfig(
 def train(config: FullTrainingConfig, folder: Path, count: int = 8) -> FullTrainer:
     images, _ = photographs(count)
     trainer, curve = train_full(
-        config, images, tiny_extractor(), base_mesh(), tiny_scenes(), 0, Checkpoint(folder, "key")
+        config, images, MEMORY, tiny_extractor(), base_mesh(), tiny_scenes(), 0, Checkpoint(folder, "key")
     )
     assert [row["iteration"] for row in curve.rows] == list(range(2, config.iterations + 1, 2))
     return trainer
@@ -63,12 +67,48 @@ def test_diverged_training_keeps_the_last_checkpoint(tmp_path: Path) -> None:
 def test_curriculum_draws_different_photographs_from_the_first_ones() -> None:
     images, _ = photographs(16)
     extractor = tiny_extractor()
-    trainer = FullTrainer(TRAINING, Photographs(images, extract(extractor, images, 8)), extractor, base_mesh(), 0)
+    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
     draws = torch.stack([trainer.draw(iteration) for iteration in (0, 0, 0, 3, 3, 3, 99, 99, 99)])
     assert all(len(draw.unique()) == 4 for draw in draws)
     assert draws[:3].max() < 4
     assert 4 <= draws[3:6].max() < 8
     assert draws[6:].max() >= 8
+
+
+def test_photographs_on_disk_give_the_same_training(tmp_path: Path) -> None:
+    """Neither the pictures nor their features fit into one byte."""
+    images, _ = photographs(8)
+    np.save(tmp_path / "car.npy", images.permute(0, 2, 3, 1).numpy())
+    mapped = place_images([load_images(tmp_path / "car.npy")], images.device, 1)
+    results = [
+        train_full(
+            TRAINING,
+            pictures,
+            memory,
+            tiny_extractor(),
+            base_mesh(),
+            tiny_scenes(),
+            0,
+            Checkpoint(tmp_path, str(memory)),
+        )
+        for pictures, memory in ((images, MEMORY), (mapped, 1))
+    ]
+    (resident, curve), (streamed, same_curve) = results
+    torch.testing.assert_close(state(streamed), state(resident), atol=1e-6, rtol=1e-6)
+    for row, same_row in zip(curve.rows, same_curve.rows, strict=True):
+        assert same_row == pytest.approx(row, rel=1e-5)
+
+
+def test_photographs_beyond_the_first_start_from_random_poses(tmp_path: Path) -> None:
+    images, _ = photographs(8)
+    assert TRAINING.first_poses is not None
+    few = replace(TRAINING, iterations=0, first_poses=replace(TRAINING.first_poses, photographs=6))
+    trainer, _ = train_full(
+        few, images, MEMORY, tiny_extractor(), base_mesh(), tiny_scenes(), 0, Checkpoint(tmp_path, "key")
+    )
+    fresh = FullTrainer(few, trainer.photographs, trainer.extractor, base_mesh(), 0)
+    assert torch.equal(trainer.record.pose[6:], fresh.record.pose[6:])
+    assert not torch.isclose(trainer.record.pose[:6], fresh.record.pose[:6]).all(dim=1).any()
 
 
 @pytest.mark.slow
@@ -85,7 +125,9 @@ def test_training_finds_poses_and_reconstructs(tmp_path: Path) -> None:
     )
     images, _ = photographs(8)
     extractor = tiny_extractor()
-    trainer, curve = train_full(config, images, extractor, base_mesh(), tiny_scenes(), 0, Checkpoint(tmp_path, "key"))
+    trainer, curve = train_full(
+        config, images, MEMORY, extractor, base_mesh(), tiny_scenes(), 0, Checkpoint(tmp_path, "key")
+    )
     first, last = curve.rows[0], curve.rows[-1]
     assert last["reconstruction"] < 0.85 * first["reconstruction"]
     features = [layer.float() for layer in extract(extractor, images, 8)]

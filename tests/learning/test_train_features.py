@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch import Tensor
 
 from pipeline.errors import ConfigError, DataError, TrainingDiverged
 from pipeline.networks.feature_extractor import save_feature_extractor
@@ -111,8 +112,10 @@ def test_one_category_alone_cannot_be_classified(tmp_path: Path) -> None:
 
 
 def test_a_colour_that_is_the_same_everywhere_is_named(tmp_path: Path) -> None:
-    pictures = bars(16, 0)
-    pictures.images[:, 1] = 255
+    images, labels = bars(16, 0)
+    assert isinstance(images, Tensor)
+    images[:, 1] = 255
+    pictures = Pictures(images, labels)
     with pytest.raises(DataError, match="the green of all training pictures"):
         train_features(CONFIG, pictures, pictures, NO_WEIGHTS, 0, Checkpoint(tmp_path, "key"))
 
@@ -129,7 +132,7 @@ def test_pictures_of_a_missing_category_are_a_data_error(tmp_path: Path) -> None
     with pytest.raises(DataError, match="holds no pictures"):
         list_categories(tmp_path)
     with pytest.raises(DataError, match="car"):
-        load_pictures(tmp_path, ["car"], torch.device("cpu"))
+        load_pictures(tmp_path, ["car"], torch.device("cpu"), 2**30)
 
 
 def test_transfer_keeps_the_features_and_learns_the_categories(tmp_path: Path) -> None:

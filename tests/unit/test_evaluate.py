@@ -102,7 +102,7 @@ def test_reconstruction_nearer_to_the_photograph_counts_as_improved(learned: Lea
     with initialised(0, "extractor"):
         extractor = FeatureExtractor(WideResNet(10, 1, 2), 2.0)
     photographs = learned.reconstructions.tuned.images
-    training = torch.rand(3, *photographs.shape[1:], generator=generator(0))
+    training = torch.randint(256, (3, *photographs.shape[1:]), generator=generator(0)).to(torch.uint8)
     figures, table = evaluate_images(photographs, training, learned.reconstructions, extractor, CONFIG)
     assert figures["reconstruction"]["retrieved"]["feature_distance"]["value"] > 0
     assert figures["reconstruction"]["improved"]["value"] == 1

@@ -1,6 +1,7 @@
 """Users' own photographs are found by split and category."""
 
 import io
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +9,9 @@ import pytest
 from PIL import Image
 
 from pipeline.datasets.folder import FolderConfig, read_folder
+from pipeline.datasets.prepared import write_pictures
 from pipeline.errors import DataError
-from tests.picture_trees import tree, write_folder, write_tar
+from tests.picture_trees import noise, tree, write_folder, write_tar
 
 CONFIG = FolderConfig(size=32, fit="crop")
 
@@ -17,14 +19,18 @@ CONFIG = FolderConfig(size=32, fit="crop")
 def test_pictures_are_stacked_in_the_order_of_their_names(tmp_path: Path) -> None:
     files = tree()
     backwards = dict(reversed(files.items()))
-    dataset = read_folder(write_tar(tmp_path / "pictures.tar", backwards), CONFIG)
-    assert {split: sorted(group) for split, group in dataset.images.items()} == {
-        "train": ["car", "horse"],
-        "test": ["car", "horse"],
-    }
-    first = np.asarray(Image.open(io.BytesIO(files["test/horse/1.jpg"])))
-    np.testing.assert_array_equal(dataset.images["test"]["horse"][0], first)
-    assert dataset.truth == {}
+    names = write_pictures(tmp_path, read_folder(write_tar(tmp_path / "pictures.tar", backwards), CONFIG))
+    assert names == {split: {name: ["1.jpg", "2.jpg"] for name in ("car", "horse")} for split in ("train", "test")}
+    in_memory = np.stack([np.asarray(Image.open(io.BytesIO(files[f"test/horse/{name}.jpg"]))) for name in (1, 2)])
+    np.save(tmp_path / "expected.npy", in_memory)
+    assert (tmp_path / "test/horse.npy").read_bytes() == (tmp_path / "expected.npy").read_bytes()
+    assert not list(tmp_path.rglob(".partial-*"))
+
+
+def test_two_pictures_of_one_name_are_refused(tmp_path: Path) -> None:
+    files = tree() | {"more/train/car/1.jpg": noise(0)}
+    with pytest.raises(DataError, match=r"there are two pictures train/car/1\.jpg; rename or remove one"):
+        write_pictures(tmp_path / "out", read_folder(write_folder(tmp_path / "in", files), CONFIG))
 
 
 def test_an_outer_folder_and_other_files_do_no_harm(tmp_path: Path) -> None:
@@ -34,23 +40,25 @@ def test_an_outer_folder_and_other_files_do_no_harm(tmp_path: Path) -> None:
         "photographs/train/car/.DS_Store": b"",
         "photographs/train/car/._1.jpg": b"x",
     }
-    dataset = read_folder(write_folder(tmp_path, files), CONFIG)
-    assert {name: len(images) for name, images in dataset.images["train"].items()} == {"car": 2, "horse": 2}
+    pictures = list(read_folder(write_folder(tmp_path, files), CONFIG))
+    assert Counter((picture.split, picture.category) for picture in pictures) == {
+        (split, category): 2 for split in ("train", "test") for category in ("car", "horse")
+    }
 
 
 def test_an_empty_category_is_named(tmp_path: Path) -> None:
     folder = write_folder(tmp_path, tree())
     (folder / "train" / "dog").mkdir()
     with pytest.raises(DataError, match=r"no pictures in train/dog/; expected at least one"):
-        read_folder(folder, CONFIG)
+        list(read_folder(folder, CONFIG))
 
 
 def test_a_category_missing_from_the_test_split_is_named(tmp_path: Path) -> None:
     files = tree(**{"test/car/1.jpg": None, "test/car/2.jpg": None})
     with pytest.raises(DataError, match=r"no pictures in test/car/"):
-        read_folder(write_folder(tmp_path, files), CONFIG)
+        list(read_folder(write_folder(tmp_path, files), CONFIG))
 
 
 def test_another_arrangement_is_explained(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"no pictures at train/<category>/ and test/<category>/"):
-        read_folder(write_folder(tmp_path, {"car/1.jpg": b"x"}), CONFIG)
+        list(read_folder(write_folder(tmp_path, {"car/1.jpg": b"x"}), CONFIG))

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from pipeline.datasets.folder import FolderConfig, read_folder
-from pipeline.datasets.posed_folder import has_table, read_posed_folder
-from pipeline.datasets.prepared import write_truth
+from pipeline.datasets.posed_folder import has_table, read_viewpoints
+from pipeline.datasets.prepared import write_pictures, write_truth
 from pipeline.datasets.truth import Viewpoints
 from pipeline.errors import DataError
 from pipeline.evaluation.artifacts import load_true_split
@@ -26,15 +26,13 @@ def table(*changed: str) -> bytes:
 def test_viewpoints_stand_in_the_order_of_the_pictures(tmp_path: Path) -> None:
     files = {**tree(), "poses.csv": table()}
     source = write_tar(tmp_path / "cars.tar", dict(reversed(files.items())))
-    dataset = read_posed_folder(source, CONFIG)
-    pictures = read_folder(source, CONFIG).images
-    np.testing.assert_array_equal(dataset.images["test"]["horse"], pictures["test"]["horse"])
-    truth = dataset.truth["test"]["horse"]
+    truths = read_viewpoints(source, write_pictures(tmp_path, read_folder(source, CONFIG)))
+    truth = truths["test"]["horse"]
     assert isinstance(truth, Viewpoints)
     expected = [10.0 * list(tree()).index(f"test/horse/{number}.jpg") for number in (1, 2)]
     np.testing.assert_allclose(np.degrees(truth.azimuth), expected)
     np.testing.assert_allclose(truth.roll, math.radians(-1.5))
-    write_truth(tmp_path / "truth", dataset)
+    write_truth(tmp_path / "truth", truths)
     read = load_true_split(tmp_path / "truth", "test", "horse")
     assert read is not None
     assert read.objects is None
@@ -54,7 +52,7 @@ def test_viewpoints_stand_in_the_order_of_the_pictures(tmp_path: Path) -> None:
 def test_a_bad_table_is_one_sentence(tmp_path: Path, content: bytes | None, message: str) -> None:
     source = write_folder(tmp_path, tree(**{"poses.csv": content}))
     with pytest.raises(DataError, match=message):
-        read_posed_folder(source, CONFIG)
+        read_viewpoints(source, {"train": {"car": ["1.jpg"]}})
 
 
 def test_the_table_tells_the_kind_of_a_source(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ def test_histograms_are_shares_of_colours() -> None:
 
 
 def test_the_same_colours_elsewhere_are_retrieved() -> None:
-    training = torch.rand(5, 3, 8, 8, generator=generator(0)) * torch.linspace(0.2, 1, 5)[:, None, None, None]
-    photographs = training[[3, 0]].flip(-1)
-    torch.testing.assert_close(retrieve(photographs, training), training[[3, 0]])
+    training = torch.rand(5, 3, 8, 8, generator=generator(0)) * torch.linspace(51, 255, 5)[:, None, None, None]
+    training = training.to(torch.uint8)
+    expected = training[[3, 0]].float() / 255
+    torch.testing.assert_close(retrieve(expected.flip(-1), training), expected)

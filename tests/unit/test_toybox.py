@@ -112,8 +112,8 @@ def test_viewpoints_follow_the_paper(category: str) -> None:
 def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
     for name in ("first", "second"):
         dataset = make_toybox(ToyboxConfig(seed=0, train_count=3, test_count=2, photograph=CONFIG))
-        write_images(tmp_path / name / "prepared", dataset)
-        write_truth(tmp_path / name / "truth", dataset)
+        write_images(tmp_path / name / "prepared", dataset.images)
+        write_truth(tmp_path / name / "truth", dataset.truth)
     assert sha256(tmp_path / "first") == sha256(tmp_path / "second")
 
 

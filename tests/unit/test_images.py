@@ -1,0 +1,44 @@
+"""Pictures that stay on disk are the same as pictures in memory."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.datasets.images import MappedImages, load_images, place_images
+
+CPU = torch.device("cpu")
+PICTURE = 3 * 4 * 4
+
+
+@pytest.fixture
+def parts(tmp_path: Path) -> list[torch.Tensor]:
+    """Write two categories of 5 and 3 random pictures and map them into memory."""
+    rng = np.random.default_rng(0)
+    for name, count in (("car", 5), ("horse", 3)):
+        np.save(tmp_path / f"{name}.npy", rng.integers(0, 256, (count, 4, 4, 3), dtype=np.uint8))
+    return [load_images(tmp_path / f"{name}.npy") for name in ("car", "horse")]
+
+
+def test_pictures_stay_on_disk_where_they_take_more_than_the_memory(parts: list[torch.Tensor]) -> None:
+    resident = place_images(parts, CPU, 8 * PICTURE)
+    assert isinstance(resident, torch.Tensor)
+    assert resident.is_contiguous()
+    assert isinstance(place_images(parts, CPU, 8 * PICTURE - 1), MappedImages)
+
+
+def test_rows_of_mapped_pictures_are_those_of_a_tensor(parts: list[torch.Tensor]) -> None:
+    resident, mapped = place_images(parts, CPU, 10**6), place_images(parts, CPU, 1)
+    assert mapped.shape == resident.shape
+    assert len(mapped) == len(resident) == 8
+    for rows in (torch.tensor([7, 0, 4, 5, 5]), slice(3, 7), slice(None, None, 3), slice(0, 0)):
+        assert torch.equal(mapped[rows], resident[rows])
+        assert mapped[rows].is_contiguous()
+    assert [batch.tolist() for batch in mapped.split(3)] == [batch.tolist() for batch in resident.split(3)]
+
+
+def test_a_mapped_file_is_never_changed(tmp_path: Path, parts: list[torch.Tensor]) -> None:
+    before = (tmp_path / "car.npy").read_bytes()
+    parts[0].zero_()
+    assert (tmp_path / "car.npy").read_bytes() == before
