@@ -11,6 +11,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 
 from pipeline.config import load
+from pipeline.datasets.pascal3d import has_annotations
 from pipeline.datasets.posed_folder import has_table
 from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
@@ -131,6 +132,8 @@ def _existing(option: str, path: Path) -> Path:
 def _kind(source: Path) -> str:
     if source.name.startswith(OFFICIAL_CIFAR10):
         return "cifar10"
+    if has_annotations(source):
+        return "pascal3d"
     return "posed_folder" if has_table(source) else "folder"
 
 

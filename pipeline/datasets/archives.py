@@ -5,7 +5,7 @@ import os
 import tarfile
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
@@ -13,6 +13,8 @@ from pipeline.errors import DataError
 
 DAMAGE = (tarfile.TarError, zipfile.BadZipFile, lzma.LZMAError, zlib.error, EOFError, OSError)
 """What the readers of archives raise when bytes are missing or wrong."""
+
+Wanted = Callable[[PurePosixPath], bool]
 
 
 class Entry(NamedTuple):
@@ -34,53 +36,58 @@ class _Member(tarfile.TarInfo):
         return super().frombuf(buf, encoding, errors)
 
 
-def read_tree(path: Path) -> Iterator[Entry]:
-    """Yield every entry of a folder, a zip or a tar (plain, gz, bz2, xz), in the order it is stored.
+def read_tree(path: Path, wanted: Wanted = lambda _: True) -> Iterator[Entry]:
+    """Yield every wanted entry of a folder, a zip or a tar (plain, gz, bz2, xz), in the order it is stored.
 
     Raises DataError if the source is missing, truncated or damaged, or holds an entry that points outside of it: an
-    absolute path, a path with `..`, a link or a device. One file's content is held at a time, and besides it the names
-    of one folder, or the table of a zip; a tar takes no memory that grows with its length.
+    absolute path, a path with `..`, a link or a device. What is not wanted, by its path inside the tree, is not read.
+    One file's content is held at a time, and besides it the names of one folder, or the table of a zip; a tar takes no
+    memory that grows with its length.
     """
     if path.is_dir():
-        yield from _read_folder(path, PurePosixPath())
+        yield from _read_folder(path, PurePosixPath(), wanted)
         return
     if not path.is_file():
         raise DataError(f"{path} does not exist; expected a folder or a tar or zip archive")
     try:
         if zipfile.is_zipfile(path):
-            yield from _read_zip(path)
+            yield from _read_zip(path, wanted)
         else:
-            yield from _read_tar(path)
+            yield from _read_tar(path, wanted)
     except DAMAGE as error:
         raise DataError(f"{path} is not a complete tar or zip archive ({error}); download or copy it again") from None
 
 
-def _read_folder(path: Path, above: PurePosixPath) -> Iterator[Entry]:
+def _read_folder(path: Path, above: PurePosixPath, wanted: Wanted) -> Iterator[Entry]:
     with os.scandir(path) as found:
         names = sorted(entry.name for entry in found)
     for name in names:
         entry = path / name
-        yield Entry(above / name, entry.read_bytes() if entry.is_file() else None)
+        if wanted(above / name):
+            yield Entry(above / name, entry.read_bytes() if entry.is_file() else None)
         if entry.is_dir() and not entry.is_symlink():
-            yield from _read_folder(entry, above / name)
+            yield from _read_folder(entry, above / name, wanted)
 
 
-def _read_zip(path: Path) -> Iterator[Entry]:
+def _read_zip(path: Path, wanted: Wanted) -> Iterator[Entry]:
     with zipfile.ZipFile(path) as archive:
         for member in archive.infolist():
             name = _inside(path, member.filename)
             if (member.external_attr >> 16) & 0o170000 == 0o120000:
                 raise DataError(f"{path}: '{member.filename}' is a link; expected only files and folders")
-            yield Entry(name, None if member.is_dir() else archive.read(member))
+            if wanted(name):
+                yield Entry(name, None if member.is_dir() else archive.read(member))
 
 
-def _read_tar(path: Path) -> Iterator[Entry]:
+def _read_tar(path: Path, wanted: Wanted) -> Iterator[Entry]:
     with tarfile.open(path, "r|*", tarinfo=_Member) as archive:
         for member in archive:
             archive.members.clear()  # tarfile remembers every header it has met
             name = _inside(path, member.name)
             if not (member.isfile() or member.isdir()):
                 raise DataError(f"{path}: '{member.name}' is a link or a device; expected only files and folders")
+            if not wanted(name):
+                continue
             stream = archive.extractfile(member)
             content = stream.read() if stream else None
             if content is not None and len(content) < member.size:

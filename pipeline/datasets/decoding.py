@@ -1,6 +1,8 @@
 """Turn the bytes of a picture into an array of the wanted size."""
 
 import io
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Literal
 
 import numpy as np
@@ -16,6 +18,9 @@ Fit = Literal["crop", "pad"]
 size and continues the border pixels along the short one.
 """
 
+Box = tuple[int, int, int, int]
+"""Left, top, right and bottom in pixels; right and bottom are the first ones outside."""
+
 
 def decode(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, "size size 3"]:
     """Decode an RGB picture (JPEG, PNG, ...), turned upright as its EXIF data says.
@@ -23,11 +28,9 @@ def decode(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, 
     Pictures are made smaller, never larger. Raises DataError, naming the picture, if it cannot be read to its end, is
     not RGB, or is too small.
     """
-    try:
+    with _reading(name):
         picture = ImageOps.exif_transpose(Image.open(io.BytesIO(content)))
         picture.load()
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
-        raise DataError(f"{name} cannot be read as a picture ({error}); replace or remove it") from None
     if picture.mode != "RGB":
         raise DataError(f"{name} has the colour mode {picture.mode}; expected RGB; convert or remove it")
     side = min(picture.size) if fit == "crop" else max(picture.size)
@@ -35,6 +38,35 @@ def decode(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, 
         which, found = "short" if fit == "crop" else "long", f"{picture.width}x{picture.height}"
         raise DataError(f"{name} is {found} px; expected at least {size} px along the {which} side")
     return _square(np.asarray(_scaled(picture, size / side)), size)
+
+
+def cut_boxes(content: bytes, name: str, boxes: Sequence[Box], size: int) -> list[UInt8[np.ndarray, "size size 3"]]:
+    """Cut boxes out of a picture and make them square as `pad` does; small ones are enlarged, grey becomes RGB.
+
+    Boxes count from the picture's corner as it is stored, and end at its border. Raises DataError, naming the picture,
+    if it cannot be read to its end or a box has no pixel of it.
+    """
+    with _reading(name):
+        picture = Image.open(io.BytesIO(content)).convert("RGB")
+    return [_cut(picture, name, box, size) for box in boxes]
+
+
+def _cut(picture: Image.Image, name: str, box: Box, size: int) -> UInt8[np.ndarray, "size size 3"]:
+    left, top, right, bottom = box
+    inside = (max(left, 0), max(top, 0), min(right, picture.width), min(bottom, picture.height))
+    if inside[0] >= inside[2] or inside[1] >= inside[3]:
+        found = f"{picture.width}x{picture.height}"
+        raise DataError(f"{name} is {found} px, but an object's box spans {box}; expected one inside of the picture")
+    part = picture.crop(inside)
+    return _square(np.asarray(_scaled(part, size / max(part.size))), size)
+
+
+@contextmanager
+def _reading(name: str) -> Iterator[None]:
+    try:
+        yield
+    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+        raise DataError(f"{name} cannot be read as a picture ({error}); replace or remove it") from None
 
 
 def _scaled(picture: Image.Image, factor: float) -> Image.Image:

@@ -6,11 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from pipeline.datasets.archives import read_tree
 from pipeline.datasets.prepared import Names, Truth
-from pipeline.datasets.truth import Viewpoints
+from pipeline.datasets.truth import Viewpoints, viewpoints_of_boxes
 from pipeline.errors import DataError
 
 TABLE = "poses.csv"
@@ -41,7 +39,7 @@ def has_table(path: Path) -> bool:
     """Whether a folder or an archive holds viewpoints of its pictures."""
     if path.is_dir():
         return (path / TABLE).is_file()
-    return any(name.name == TABLE for name, _ in read_tree(path))
+    return any(True for _ in read_tree(path, lambda name: name.name == TABLE))
 
 
 def _read_angles(path: Path) -> Angles:
@@ -70,10 +68,7 @@ def _radians(where: str, line: int, text: str) -> float:
 
 
 def _truth(path: Path, angles: Mapping[str, tuple[float, ...]], names: Sequence[str]) -> Viewpoints:
-    """Collect the viewpoints of pictures."""
     unknown = [name for name in names if name not in angles]
     if unknown:
         raise DataError(f"{path}: {TABLE} has no row for {unknown[0]}; every picture needs one")
-    azimuth, elevation, roll = np.array([angles[name] for name in names]).T
-    count = len(names)
-    return Viewpoints(azimuth, elevation, roll, np.zeros((count, 2)), np.full(count, np.nan))
+    return viewpoints_of_boxes([angles[name] for name in names])

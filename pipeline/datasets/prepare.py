@@ -6,6 +6,7 @@ from typing import Literal
 
 from pipeline.datasets.cifar10 import Cifar10Config, read_cifar10
 from pipeline.datasets.folder import FolderConfig, read_folder
+from pipeline.datasets.pascal3d import Pascal3dConfig, read_pascal3d
 from pipeline.datasets.posed_folder import read_viewpoints
 from pipeline.datasets.prepared import Truth, write_images, write_pictures
 from pipeline.datasets.toybox.toybox import ToyboxConfig, make_toybox
@@ -22,14 +23,16 @@ class PrepareConfig:
         cifar10: the official archive.
         folder: photographs in a folder or archive.
         posed_folder: the same, cut to objects whose viewpoints are known, for evaluation.
+        pascal3d: the official release of PASCAL3D+.
     """
 
-    kind: Literal["toybox", "cifar10", "folder", "posed_folder"]
+    kind: Literal["toybox", "cifar10", "folder", "posed_folder", "pascal3d"]
     source: str
     toybox: ToyboxConfig
     cifar10: Cifar10Config
     folder: FolderConfig
     posed_folder: FolderConfig
+    pascal3d: Pascal3dConfig
 
 
 def prepare(config: PrepareConfig, folder: Path) -> Truth:
@@ -53,3 +56,7 @@ def prepare(config: PrepareConfig, folder: Path) -> Truth:
         case "posed_folder":
             names = write_pictures(folder, read_folder(source, config.posed_folder))
             return read_viewpoints(source, names)
+        case "pascal3d":
+            images, truth = read_pascal3d(source, config.pascal3d)
+            write_images(folder, images)
+            return truth

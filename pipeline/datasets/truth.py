@@ -1,5 +1,6 @@
 """Ground truth of pictures. It is written for evaluation and reports; no training stage can reach it."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -40,6 +41,12 @@ class GroundTruth(NamedTuple):
     """World space, fitted into the unit cube; the front faces +z, the mirror plane is x = 0."""
     faces: Int[np.ndarray, "F 3"]
     """Counter-clockwise from outside. Parts are closed and may overlap: inside, the winding number is positive."""
+
+
+def viewpoints_of_boxes(angles: Sequence[tuple[float, ...]]) -> Viewpoints:
+    """Take azimuth, elevation and roll of pictures, in radians, whose frames are their objects' boxes."""
+    azimuth, elevation, roll = np.array(angles).T
+    return Viewpoints(azimuth, elevation, roll, np.zeros((len(angles), 2)), np.full(len(angles), np.nan))
 
 
 def concatenate(truths: list[GroundTruth]) -> GroundTruth:

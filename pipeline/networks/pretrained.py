@@ -66,7 +66,7 @@ def alexnet() -> nn.Sequential:
 
 
 def squeezenet() -> nn.Sequential:
-    """Build SqueezeNet v1.0 up to its last fire module; pooling windows may reach beyond a border."""
+    """Build SqueezeNet v1.0 up to its last pooling; pooling windows may reach beyond a border."""
     return nn.Sequential(
         OrderedDict(
             [
@@ -76,8 +76,6 @@ def squeezenet() -> nn.Sequential:
                 ("pool4", nn.MaxPool2d(3, 2, ceil_mode=True)),
                 *(("fire5", Fire(256, 32, 128)), ("fire6", Fire(256, 48, 192))),
                 *(("fire7", Fire(384, 48, 192)), ("fire8", Fire(384, 64, 256))),
-                ("pool8", nn.MaxPool2d(3, 2, ceil_mode=True)),
-                ("fire9", Fire(512, 64, 256)),
             ]
         )
     )
@@ -90,7 +88,7 @@ ARCHITECTURES = {
     "squeezenet": Architecture(
         squeezenet,
         "",
-        ("relu1", "fire4", "fire6", "fire8", "fire9"),
+        ("relu1", "fire4", "fire6", "fire7", "fire8"),
         (123 / 255, 117 / 255, 104 / 255),
         (1 / 255, 1 / 255, 1 / 255),
         "conv1",

@@ -33,6 +33,7 @@ def prepare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Pa
         out = tmp_path / "out"
         section = {"toybox": TOYBOX, "cifar10": {"md5": MD5}, "folder": {"size": 32, "fit": "crop"}}
         section["posed_folder"] = {"size": 32, "fit": "pad"}
+        section["pascal3d"] = {"size": 32, "categories": ["car"]}
         params = {"prepare_data": section, "datasets": {"mine": {"kind": kind, "source": str(source), **changes}}}
         (tmp_path / "params.yaml").write_text(yaml.safe_dump(params), encoding="utf-8")
         arguments = ["--params", str(tmp_path / "params.yaml"), "--sections", "prepare_data", "datasets.mine"]

@@ -9,6 +9,7 @@ from ruamel.yaml import YAML
 
 from pipeline.errors import ConfigError
 from stages.run_row import turn_on
+from tests.pascal3d_tree import release
 from tests.picture_trees import tree, write_folder, write_tar
 
 PARAMS = Path(__file__).parents[2] / "params.yaml"
@@ -35,6 +36,13 @@ def test_photographs_with_a_table_of_poses_are_a_posed_folder(params: Path, tmp_
     options = _options("pascal-car", dataset="stanford", category="car", source=source)
     assert turn_on(params, options) == "stanford-car"
     assert YAML(typ="safe").load(params)["datasets"]["stanford"] == {"kind": "posed_folder", "source": str(source)}
+
+
+def test_the_release_of_pascal3d_is_known_by_its_annotations(params: Path, tmp_path: Path) -> None:
+    for source in (write_folder(tmp_path / "release", release()), write_tar(tmp_path / "release.tar", release())):
+        assert turn_on(params, _options("pascal-car", source=source)) == "pascal-car"
+        expected = {"kind": "pascal3d", "source": str(source)}
+        assert YAML(typ="safe").load(params)["datasets"]["pascal3d"] == expected
 
 
 def test_a_row_brings_its_dataset_features_and_run(params: Path, tmp_path: Path) -> None:

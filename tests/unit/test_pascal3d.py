@@ -1,0 +1,169 @@
+"""PASCAL3D+: which objects are taken, how they are cut, and what their angles mean."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from pipeline.datasets.pascal3d import Pascal3dConfig, has_annotations, read_pascal3d
+from pipeline.datasets.prepared import write_images, write_truth
+from pipeline.errors import DataError
+from pipeline.evaluation.artifacts import load_true_split
+from pipeline.geometry.camera import CameraConfig, Pose, project
+from tests.pascal3d_tree import VOC, annotation, car, photograph, release, viewpoint
+from tests.picture_trees import tree, write_folder, write_tar, write_zip
+
+CONFIG = Pascal3dConfig(size=64, categories=("car",))
+BOX = (11.0, 21.0, 50.4, 40.0)
+
+
+@pytest.mark.parametrize("form", ["folder", "zip", "tar.gz"])
+def test_whole_visible_objects_are_taken_and_split(tmp_path: Path, form: str) -> None:
+    files = {f"PASCAL3D+_release1.1/{name}": content for name, content in release().items()}
+    write = {"folder": write_folder, "zip": write_zip, "tar.gz": write_tar}[form]
+    source = write(tmp_path / f"release.{form}", dict(reversed(files.items())))
+    assert has_annotations(source)
+    dataset = read_pascal3d(source, CONFIG)
+    truth = {split: group["car"] for split, group in dataset.truth.items()}
+    assert {split: np.degrees(found.azimuth).round(4).tolist() for split, found in truth.items()} == {
+        "train": [200.0, 20.0, 90.0],  # ImageNet's training and validation list, then VOC's training list
+        "test": [355.0],
+    }
+    np.testing.assert_allclose(np.degrees(truth["train"].elevation), 10.0)
+    np.testing.assert_allclose(np.degrees(truth["train"].roll), -2.0)
+    assert {split: len(group["car"]) for split, group in dataset.images.items()} == {"train": 3, "test": 1}
+
+
+def test_boxes_are_cut_and_made_square(tmp_path: Path) -> None:
+    images = read_pascal3d(write_folder(tmp_path, release()), CONFIG).images
+    colored = images["train"]["car"][2].astype(float)  # columns 11 to 50 and rows 21 to 40, counted from 1
+    assert colored.shape == (64, 64, 3)
+    assert colored[32, 0, 0] == pytest.approx(3 * 10, abs=6)
+    assert colored[32, -1, 0] == pytest.approx(3 * 49, abs=6)
+    assert colored[16, 32, 1] == pytest.approx(3 * 20, abs=6)
+    assert colored[47, 32, 1] == pytest.approx(3 * 39, abs=6)
+    np.testing.assert_array_equal(colored[:16], np.repeat(colored[16:17], 16, axis=0))  # the border goes on
+    gray = images["train"]["car"][1]
+    assert (gray == gray[..., :1]).all()
+
+
+def test_ground_truth_reaches_evaluation_alone(tmp_path: Path) -> None:
+    dataset = read_pascal3d(write_folder(tmp_path / "release", release()), CONFIG)
+    write_images(tmp_path / "prepared", dataset)
+    write_truth(tmp_path / "truth", dataset)
+    read = load_true_split(tmp_path / "truth", "test", "car")
+    assert read is not None
+    assert read.objects is None
+    assert read.pose.scale.isnan().all()
+    assert math.degrees(read.pose.azimuth.item()) == pytest.approx(355)
+    assert sorted(path.name for path in (tmp_path / "prepared").rglob("*.np*")) == ["car.npy", "car.npy"]
+
+
+def project_as_the_release_does(points: np.ndarray, azimuth: float, elevation: float, theta: float) -> np.ndarray:
+    """Project as its function `project_3d` does (z is up, the camera at azimuth 0 looks along +y), with y up."""
+    center = 5.0 * np.array(
+        [math.cos(elevation) * math.sin(azimuth), -math.cos(elevation) * math.cos(azimuth), math.sin(elevation)]
+    )
+    about_z, about_x = -azimuth, elevation - math.pi / 2
+    turn = np.array(
+        [[math.cos(about_z), -math.sin(about_z), 0], [math.sin(about_z), math.cos(about_z), 0], [0.0, 0.0, 1.0]]
+    )
+    tilt = np.array(
+        [[1.0, 0.0, 0.0], [0, math.cos(about_x), -math.sin(about_x)], [0, math.sin(about_x), math.cos(about_x)]]
+    )
+    x, y, depth = tilt @ turn @ (points - center).T * np.array([[1.0], [1.0], [-1.0]])
+    roll = np.array([[math.cos(theta), -math.sin(theta)], [math.sin(theta), math.cos(theta)]])
+    return (roll @ np.stack([x / depth, y / depth])).T
+
+
+def test_the_release_and_the_project_mean_the_same_by_their_angles() -> None:
+    points = np.random.default_rng(0).uniform(-0.5, 0.5, (20, 3))
+    right, back, up = points.T
+    vertices = torch.tensor(np.stack([right, up, -back], axis=1))[None].float()
+    angles = np.radians([40.0, 25.0, 15.0])
+    azimuth, elevation, roll = torch.tensor(angles)[:, None].float()
+    pose = Pose(azimuth, elevation, roll, torch.zeros(1, 2), torch.ones(1))
+    ours = project(vertices, pose, CameraConfig(5.0, 90.0))[0, :, :2]
+    theirs = torch.from_numpy(project_as_the_release_does(points, *angles)).float()
+    torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-5)
+
+
+def replaced(name: str, content: bytes | None) -> dict[str, bytes]:
+    return release(**{name: content})
+
+
+BAD_RELEASES = {
+    "no list of ImageNet": (
+        replaced("Image_sets/car_imagenet_val.txt", None),
+        r"has no Image_sets/car_imagenet_val\.txt; expected release 1\.1 of PASCAL3D\+ with the lists of VOC 2012",
+    ),
+    "no list of VOC": (replaced(f"{VOC}/val.txt", None), r"has no VOC2012/ImageSets/Main/val\.txt; expected release"),
+    "no annotation": (
+        replaced("Annotations/car_imagenet/n02_1.mat", None),
+        r"has no Annotations/car_imagenet/n02_1\.mat, which Image_sets/car_imagenet_train\.txt names",
+    ),
+    "no picture": (
+        replaced("Images/car_pascal/2009_1.jpg", None),
+        r"has no picture Images/car_pascal/2009_1, which is annotated",
+    ),
+    "no object in a split": (
+        replaced(f"{VOC}/val.txt", b"2009_2\n"),
+        r"has no whole, visible 'car' with a viewpoint for the split test",
+    ),
+    "cut short": (
+        replaced("Annotations/car_pascal/2009_1.mat", release()["Annotations/car_pascal/2009_1.mat"][:300]),
+        r"Annotations/car_pascal/2009_1\.mat is not an annotation of PASCAL3D\+ \(.+\); copy it again",
+    ),
+    "not MATLAB": (
+        replaced("Annotations/car_pascal/2009_1.mat", b"text"),
+        r"Annotations/car_pascal/2009_1\.mat is not an annotation of PASCAL3D\+ \(.+\); copy it again",
+    ),
+    "no box": (
+        replaced(
+            "Annotations/car_pascal/2009_1.mat",
+            annotation("2009_1.jpg", {k: v for k, v in car(BOX, viewpoint(0.0)).items() if k != "bbox"}),
+        ),
+        r"Annotations/car_pascal/2009_1\.mat has no field 'bbox'; expected an annotation",
+    ),
+    "box outside": (
+        replaced("Annotations/car_pascal/2009_1.mat", annotation("", car((90.0, 1.0, 99.0, 9.0), viewpoint(0.0)))),
+        r"2009_1\.jpg is 80x60 px, but an object's box spans \(89, 0, 99, 9\); expected one inside",
+    ),
+    "angle not finite": (
+        replaced("Annotations/car_pascal/2009_1.mat", annotation("", car(BOX, viewpoint(math.nan)))),
+        r"2009_1\.mat is not an annotation of PASCAL3D\+ \(an angle is not finite\)",
+    ),
+    "unreadable picture": (
+        replaced("Images/car_pascal/2009_1.jpg", photograph()[:-200]),
+        r"2009_1\.jpg cannot be read as a picture",
+    ),
+}
+
+
+@pytest.mark.parametrize(("files", "message"), BAD_RELEASES.values(), ids=list(BAD_RELEASES))
+def test_a_bad_release_is_one_sentence(tmp_path: Path, files: dict[str, bytes], message: str) -> None:
+    with pytest.raises(DataError, match=message) as caught:
+        read_pascal3d(write_folder(tmp_path, files), CONFIG)
+    assert str(caught.value).startswith(str(tmp_path))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_category_that_is_not_there_is_named(tmp_path: Path) -> None:
+    config = Pascal3dConfig(size=64, categories=("car", "boat"))
+    with pytest.raises(DataError, match=r"has no Image_sets/boat_imagenet_train\.txt"):
+        read_pascal3d(write_folder(tmp_path, release()), config)
+
+
+def test_a_box_that_reaches_over_the_border_ends_there(tmp_path: Path) -> None:
+    wide = annotation("2009_1.jpg", car((-5.0, 1.0, 99.0, 40.0), viewpoint(0.0)))
+    files = release(**{"Annotations/car_pascal/2009_1.mat": wide})
+    images = read_pascal3d(write_folder(tmp_path, files), CONFIG).images["test"]["car"]
+    assert images[0, 32, 0, 0] < 6
+    assert images[0, 32, -1, 0] == pytest.approx(3 * 79, abs=6)
+
+
+def test_other_sources_have_no_annotations(tmp_path: Path) -> None:
+    assert not has_annotations(write_folder(tmp_path / "pictures", tree()))
+    assert not has_annotations(write_tar(tmp_path / "pictures.tar", tree()))
