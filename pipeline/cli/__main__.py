@@ -2,7 +2,7 @@
 
 import sys
 import webbrowser
-from argparse import ArgumentParser, Namespace
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -23,9 +23,12 @@ def _parser() -> ArgumentParser:
     parser.add_argument("--project", type=Path, default=Path(), help="folder of params.yaml; default: this one")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     reconstruct = commands.add_parser("reconstruct", help="turn photographs into meshes")
-    reconstruct.add_argument("photographs", type=Path, nargs="+", metavar="PHOTO")
+    reconstruct.add_argument("photographs", type=Path, nargs="+", metavar="PHOTO", help="a photograph, or a folder")
     reconstruct.add_argument("--run", help="whose model; default: the first of params.yaml")
     reconstruct.add_argument("--out", type=Path, required=True, help="folder to write to")
+    reconstruct.add_argument(
+        "--outputs", type=_outputs, default="mesh,picture,turntable,pose", help="of mesh,picture,turntable,video,pose"
+    )
     reconstruct.add_argument("--fine-tune", action="store_true", help="fit background, pose and shape to each")
     reconstruct.set_defaults(command=_reconstruct)
     view = commands.add_parser("view", help="open the page of a run")
@@ -40,15 +43,29 @@ def _parser() -> ArgumentParser:
 
 
 def _reconstruct(arguments: Namespace) -> None:
+    from pipeline.cli.photographs import list_tasks
     from pipeline.cli.reconstruct import reconstruct
     from pipeline.cli.runs import find_run
     from pipeline.config import scalar
     from pipeline.device import resolve_device
 
-    run = find_run(arguments.project, arguments.run)
+    run, out = find_run(arguments.project, arguments.run), arguments.out
     device = resolve_device(scalar(run.params, "device"))
-    reconstruct(arguments.photographs, run, arguments.out, arguments.fine_tune, device)
-    print(f"{len(arguments.photographs)} written to {arguments.out}")
+    tasks = list_tasks(arguments.photographs, out)
+    outcome = reconstruct(tasks, run, out, arguments.outputs, arguments.fine_tune, device)
+    print(f"{outcome.written} written to {out}, {outcome.skipped} already there, {len(outcome.failures)} failed")
+    if outcome.failures:
+        sys.exit("\n".join(f"error: {failure}" for failure in outcome.failures))
+
+
+def _outputs(text: str) -> list[str]:
+    from pipeline.cli.photographs import FILES
+
+    outputs = text.split(",")
+    unknown = [output for output in outputs if output not in FILES]
+    if unknown:
+        raise ArgumentTypeError(f"'{unknown[0]}' is no output; expected some of {','.join(FILES)}")
+    return outputs
 
 
 def _view(arguments: Namespace) -> None:

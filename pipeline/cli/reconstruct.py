@@ -7,27 +7,31 @@ from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, UInt8
-from PIL import Image
 from torch import Tensor
 from tqdm import tqdm
 
+from pipeline.cli.photographs import FILES, Task
 from pipeline.cli.runs import Run
 from pipeline.config import load
-from pipeline.datasets.decoding import decode
+from pipeline.datasets.decoding import Fit, decode
 from pipeline.datasets.folder import FolderConfig
 from pipeline.errors import DataError
+from pipeline.export.animation import write_gif, write_mp4
 from pipeline.export.glb import write_glb
 from pipeline.export.obj import write_obj
 from pipeline.export.picture import enlarge, write_png
 from pipeline.export.report import ReportConfig
 from pipeline.export.seam import unwrap
 from pipeline.export.views import on_white, render_textured
-from pipeline.files import atomic_path, write_json
+from pipeline.files import read_json, sha256, write_json
 from pipeline.geometry.camera import Pose, pose_from_tensor
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.full_model import FullModel, load_full_model
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.fine_tune import FineTuneConfig, fine_tune
+
+RECORD = "reconstruct.json"
+"""Says in the folder of outputs which model made them, and how."""
 
 
 class Found(NamedTuple):
@@ -40,20 +44,58 @@ class Found(NamedTuple):
     """The reconstructions, rendered over their backgrounds."""
 
 
-def reconstruct(paths: Sequence[Path], run: Run, out: Path, tuned: bool, device: torch.device) -> None:
-    """Write the mesh of each photograph (GLB, OBJ), its turntable, its reconstruction and its pose.
+class Outcome(NamedTuple):
+    """What became of the photographs."""
 
-    Files are named after the photograph. Raises DataError where a photograph cannot be read, or two share a name.
+    written: int
+    skipped: int
+    """Already reconstructed by an earlier call."""
+    failures: list[str]
+    """One sentence for each photograph that cannot be reconstructed."""
+
+
+def reconstruct(
+    tasks: Sequence[Task], run: Run, out: Path, outputs: Sequence[str], tuned: bool, device: torch.device
+) -> Outcome:
+    """Write the outputs of each photograph, in batches, going on where an earlier call for the same folder stopped.
+
+    Raises DataError where the folder holds reconstructions by another model, or with other steps.
     """
-    _require_different_names(paths)
     model = load_full_model(run.model, device)
-    folder = load(run.params, FolderConfig, ["prepare_data.folder"])
-    pictures = [decode(_bytes(path), str(path), model.config.renderer.size, folder.fit) for path in paths]
-    images = torch.stack([torch.from_numpy(picture.copy()).permute(2, 0, 1) for picture in pictures]).to(device)
-    found = _fine_tuned(images, model, run) if tuned else _inferred(images, model)
+    _require_same_way(out, {"model": sha256(run.model), "fine_tune": tuned})
+    waiting = [task for task in tasks if not task.done(outputs)]
+    config = load(run.params, FineTuneConfig, ["fine_tune", f"sizes.{run.size}.fine_tune"])
+    fit = load(run.params, FolderConfig, ["prepare_data.folder"]).fit
     report = load(run.params, ReportConfig, ["report"])
-    for index, path in enumerate(tqdm(paths, "writing meshes", disable=None)):
-        _write(out, path.stem, index, found, model, report)
+    failures: list[str] = []
+    with tqdm(total=len(waiting), desc="reconstructing", unit="photograph", disable=None) as progress:
+        for start in range(0, len(waiting), config.batch_size):
+            readable, images = _read(waiting[start : start + config.batch_size], model, fit, failures)
+            progress.update(min(config.batch_size, len(waiting) - start) - len(readable))
+            if not readable:
+                continue
+            found = _fine_tuned(images.to(device), model, run, config) if tuned else _inferred(images.to(device), model)
+            for index, task in enumerate(readable):
+                _write(task, index, found, model, report, outputs)
+                progress.update()
+    return Outcome(len(waiting) - len(failures), len(tasks) - len(waiting), failures)
+
+
+def _read(
+    tasks: Sequence[Task], model: FullModel, fit: Fit, failures: list[str]
+) -> tuple[list[Task], UInt8[Tensor, "B 3 H W"]]:
+    """Decode photographs; return those that can be read, and add a sentence to the failures for each of the others."""
+    size = model.config.renderer.size
+    readable, images = [], [torch.zeros(0, 3, size, size, dtype=torch.uint8)]
+    for task in tasks:
+        try:
+            picture = decode(task.photograph.read_bytes(), str(task.photograph), size, fit)
+        except DataError as error:
+            failures.append(str(error))
+        else:
+            readable.append(task)
+            images.append(torch.from_numpy(picture.copy()).permute(2, 0, 1)[None])
+    return readable, torch.cat(images)
 
 
 @torch.no_grad()
@@ -62,8 +104,7 @@ def _inferred(images: UInt8[Tensor, "B 3 H W"], model: FullModel) -> Found:
     return Found(scene.vertices.cpu(), scene.texture_maps.cpu(), _cpu(scene.pose), model.render(scene).cpu())
 
 
-def _fine_tuned(images: UInt8[Tensor, "B 3 H W"], model: FullModel, run: Run) -> Found:
-    config = load(run.params, FineTuneConfig, ["fine_tune", f"sizes.{run.size}.fine_tune"])
+def _fine_tuned(images: UInt8[Tensor, "B 3 H W"], model: FullModel, run: Run, config: FineTuneConfig) -> Found:
     extractor = load_feature_extractor(run.features, images.device)
     with tempfile.TemporaryDirectory() as folder:
         results = fine_tune(config, images, model, extractor, Checkpoint(Path(folder), "reconstruct"))
@@ -71,19 +112,28 @@ def _fine_tuned(images: UInt8[Tensor, "B 3 H W"], model: FullModel, run: Run) ->
     return Found(results["vertices_tuned"], results["textures"], pose, results["images_tuned"].float() / 255)
 
 
-def _write(out: Path, name: str, index: int, found: Found, model: FullModel, report: ReportConfig) -> None:
+def _write(
+    task: Task, index: int, found: Found, model: FullModel, report: ReportConfig, outputs: Sequence[str]
+) -> None:
     vertices, texture = found.vertices[index], found.textures[index]
     faces, directions = model.faces.cpu(), model.directions.cpu()
-    mesh = unwrap(vertices, faces, directions, texture.shape[-1])
-    write_glb(out / f"{name}.glb", mesh, texture)
-    write_obj(out / f"{name}.obj", mesh, texture)
-    picture = found.images[index].clamp(0, 1)
-    write_png(out / f"{name}_reconstruction.png", enlarge(picture, max(1, report.view.size // picture.shape[-1])))
-    azimuths = [360 * frame / report.frames for frame in range(report.frames)]
-    camera = model.config.renderer.camera
-    turn = on_white(render_textured(vertices, faces, directions, texture, azimuths, camera, report.view))
-    write_gif(out / f"{name}_turntable.gif", turn, milliseconds=2400 // report.frames)
-    write_json(out / f"{name}_pose.json", describe(found.pose, index))
+    if "mesh" in outputs:
+        mesh = unwrap(vertices, faces, directions, texture.shape[-1])
+        write_glb(task.file(".glb"), mesh, texture)
+        write_obj(task.file(".obj"), mesh, texture)
+    if "picture" in outputs:
+        picture = found.images[index].clamp(0, 1)
+        factor = max(1, report.view.size // picture.shape[-1])
+        write_png(task.file("_reconstruction.png"), enlarge(picture, factor))
+    if "turntable" in outputs or "video" in outputs:
+        azimuths = [360 * frame / report.frames for frame in range(report.frames)]
+        camera = model.config.renderer.camera
+        turn = on_white(render_textured(vertices, faces, directions, texture, azimuths, camera, report.view))
+        for output, write in (("turntable", write_gif), ("video", write_mp4)):
+            if output in outputs:
+                write(task.file(*FILES[output]), turn, 2400 // report.frames)
+    if "pose" in outputs:
+        write_json(task.file("_pose.json"), describe(found.pose, index))
 
 
 def describe(pose: Pose, index: int) -> dict[str, float | list[float]]:
@@ -97,26 +147,15 @@ def describe(pose: Pose, index: int) -> dict[str, float | list[float]]:
     }
 
 
-def write_gif(path: Path, frames: Float[Tensor, "K 3 H W"], milliseconds: int) -> None:
-    """Write an endless animation, atomically."""
-    pixels = (frames.clamp(0, 1) * 255).round().byte().permute(0, 2, 3, 1).numpy()
-    first, *others = [Image.fromarray(frame) for frame in pixels]
-    with atomic_path(path) as temporary:
-        first.save(temporary, "GIF", save_all=True, append_images=others, duration=milliseconds, loop=0)
-
-
-def _bytes(path: Path) -> bytes:
-    if not path.is_file():
-        raise DataError(f"{path} does not exist; give the path of a photograph")
-    return path.read_bytes()
-
-
-def _require_different_names(paths: Sequence[Path]) -> None:
-    seen: dict[str, Path] = {}
-    for path in paths:
-        if path.stem in seen:
-            raise DataError(f"{seen[path.stem]} and {path} would both be written as {path.stem}.glb; rename one")
-        seen[path.stem] = path
+def _require_same_way(out: Path, way: dict[str, str | bool]) -> None:
+    record = out / RECORD
+    if not record.is_file():
+        write_json(record, way)
+    elif read_json(record) != way:
+        raise DataError(
+            f"{out} holds reconstructions by another model or with other steps ({RECORD}); name another folder, or "
+            "remove this one"
+        )
 
 
 def _cpu(pose: Pose) -> Pose:

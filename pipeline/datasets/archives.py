@@ -82,7 +82,8 @@ def _read_zip(path: Path, wanted: Wanted) -> Iterator[Entry]:
 def _read_tar(path: Path, wanted: Wanted) -> Iterator[Entry]:
     with tarfile.open(path, "r|*", tarinfo=_Member) as archive:
         for member in archive:
-            archive.members.clear()  # tarfile remembers every header it has met
+            # tarfile remembers every header it has met
+            archive.members.clear()  # pyright: ignore[reportAttributeAccessIssue]
             name = _inside(path, member.name)
             if not (member.isfile() or member.isdir()):
                 raise DataError(f"{path}: '{member.name}' is a link or a device; expected only files and folders")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import torch
-from jaxtyping import Int
+from jaxtyping import Int, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
 from tqdm import tqdm
@@ -99,16 +99,16 @@ class FeatureTrainer:
         """Return what a checkpoint must hold."""
         return {"network": self.network, "optimizer": self.optimizer, "rng": self.rng, "loss_sum": self.loss_sum}
 
-    def batch(self, iteration: int) -> Pictures:
+    def batch(self, iteration: int) -> tuple[UInt8[Tensor, "B 3 H W"], Int[Tensor, " B"]]:
         """Draw the iteration's pictures, augmented, and what the network must tell of them."""
         epoch, position = divmod(iteration, self.iterations_per_epoch)
         order = torch.randperm(len(self.train.images), generator=generator(self.seed, "features", "order", epoch))
         index = order[position * self.batch_size : (position + 1) * self.batch_size].to(self.rng.device)
         images = crop_and_mirror(self.train.images[index], self.config.crop_margin, self.rng)
         if self.config.method != "rotation":
-            return Pictures(images, self.train.labels[index])
+            return images, self.train.labels[index]
         quarters = torch.randint(4, (len(index),), generator=self.rng, device=self.rng.device)
-        return Pictures(turn(images, quarters), quarters)
+        return turn(images, quarters), quarters
 
     def step(self, iteration: int) -> None:
         """Take one optimisation step."""

@@ -17,8 +17,7 @@ class Photographs:
     def __init__(self, images: Images, extractor: FeatureExtractor, batch_size: int, memory: int) -> None:
         self.images, self._extractor = images, extractor
         size = sum(tensor.nbytes for tensor in (images[:1], *extract(extractor, images[:1], 1)))
-        keep = isinstance(images, Tensor) and len(images) * size <= memory
-        self._kept = extract(extractor, images, batch_size) if keep else None
+        self._kept = extract(extractor, images[:], batch_size) if len(images) * size <= memory else None
 
     def batch(self, index: Int[Tensor, " B"]) -> tuple[Float[Tensor, "B 3 H W"], list[Float[Tensor, "B _ _ _"]]]:
         """Return some photographs in [0, 1] and their features in single precision."""

@@ -142,7 +142,7 @@ def test_transfer_keeps_the_features_and_learns_the_categories(tmp_path: Path) -
     save_feature_extractor(weights, first, 2.0, {})
     config = replace(CONFIG, method="transfer")
     second, curve = train_features(config, train, test, weights, 1, Checkpoint(tmp_path / "second", "key"))
-    images = test.images.float() / 255
+    images = test.images[:].float() / 255
     stored = load_wide_resnet(weights, torch.device("cpu"))
     for given, kept in zip(stored.features(images), second.features(images), strict=True):
         torch.testing.assert_close(kept, given, rtol=1e-4, atol=1e-4)

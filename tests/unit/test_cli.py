@@ -2,8 +2,10 @@
 
 import json
 import math
+import shutil
 from pathlib import Path
 
+import cv2
 import pytest
 import torch
 import trimesh
@@ -44,13 +46,15 @@ def project(tmp_path: Path) -> Path:
 def reconstruct(project: Path, *words: str) -> list[str]:
     out = project / "out"
     main(["--project", str(project), "reconstruct", *words, "--out", str(out)])
-    return sorted(path.name for path in out.iterdir())
+    return sorted(path.relative_to(out).as_posix() for path in out.rglob("*") if path.suffix)
 
 
 def test_photographs_become_textured_meshes(project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     endings = [".glb", ".mtl", ".obj", "_pose.json", "_reconstruction.png", "_texture.png", "_turntable.gif"]
     written = reconstruct(project, str(tmp_path / "car.png"), str(tmp_path / "van.png"))
-    assert written == sorted(f"{name}{ending}" for name in ("car", "van") for ending in endings)
+    assert written == sorted(
+        ["reconstruct.json"] + [f"{name}{ending}" for name in ("car", "van") for ending in endings]
+    )
     assert "2 written to" in capsys.readouterr().out
     expected = tiny_model().eval().infer(photographs(2)[0] / 255)
     bounds = torch.stack([expected.vertices[1].amin(0), expected.vertices[1].amax(0)])
@@ -67,15 +71,67 @@ def test_photographs_become_textured_meshes(project: Path, tmp_path: Path, capsy
 def test_fine_tuning_changes_the_pose(project: Path, tmp_path: Path) -> None:
     reconstruct(project, str(tmp_path / "car.png"))
     before = json.loads((project / "out/car_pose.json").read_text())
+    with pytest.raises(SystemExit, match=r"out holds reconstructions by another model or with other steps"):
+        reconstruct(project, str(tmp_path / "car.png"), "--fine-tune")
+    shutil.rmtree(project / "out")
     reconstruct(project, str(tmp_path / "car.png"), "--fine-tune")
     assert json.loads((project / "out/car_pose.json").read_text()) != before
+
+
+def test_a_folder_is_reconstructed_but_for_what_cannot_be_read(
+    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "photographs"
+    (folder / "vans").mkdir(parents=True)
+    shutil.copy(tmp_path / "car.png", folder / "car.png")
+    shutil.copy(tmp_path / "van.png", folder / "vans/van.png")
+    (folder / "broken.jpg").write_bytes(b"not a picture")
+    (folder / "notes.txt").write_text("nor this")
+    with pytest.raises(
+        SystemExit, match=r"^error: .*broken\.jpg cannot be read as a picture .*; replace or remove it$"
+    ):
+        reconstruct(project, str(folder), "--outputs", "pose,mesh")
+    assert "2 written to" in capsys.readouterr().out
+    assert (project / "out/car.glb").is_file()
+    assert (project / "out/vans/van_pose.json").is_file()
+    assert not list((project / "out").rglob("*.gif"))
+
+
+def test_a_stopped_reconstruction_goes_on_where_it_stopped(
+    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photographs = [str(tmp_path / "car.png"), str(tmp_path / "van.png")]
+    reconstruct(project, *photographs, "--outputs", "mesh,pose")
+    car, van = (project / f"out/{name}.glb" for name in ("car", "van"))
+    bounds = trimesh.load_mesh(van).bounds
+    car.write_bytes(b"not written again")
+    van.unlink()
+    reconstruct(project, *photographs, "--outputs", "mesh,pose")
+    assert "1 written to" in (printed := capsys.readouterr().out.splitlines()[-1])
+    assert "1 already there" in printed
+    assert car.read_bytes() == b"not written again"
+    assert trimesh.load_mesh(van).bounds == pytest.approx(bounds, abs=1e-5)
+
+
+def test_a_turntable_may_be_a_film(project: Path, tmp_path: Path) -> None:
+    assert reconstruct(project, str(tmp_path / "car.png"), "--outputs", "video") == [
+        "car_turntable.mp4",
+        "reconstruct.json",
+    ]
+    film = cv2.VideoCapture(str(project / "out/car_turntable.mp4"))
+    assert int(film.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little") in (b"avc1", b"h264")
+    assert [film.read()[1].shape for _ in range(4)] == [(64, 64, 3)] * 4
+    assert not film.read()[0]
+    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(1000 / 600, rel=0.01)
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["reconstruct", "missing.jpg", "--out", "out"], r"missing\.jpg does not exist; give the path of a photograph"),
-        (["reconstruct", "a/x.jpg", "b/x.png", "--out", "out"], r"would both be written as x\.glb; rename one"),
+        (
+            ["reconstruct", "missing.jpg", "--out", "out"],
+            r"missing\.jpg does not exist; give the path of a photograph or",
+        ),
         (["reconstruct", "x.jpg", "--run", "toybox-cat", "--out", "out"], r"has no 'runs\.toybox-cat'.*toybox-car"),
         (["view"], r"index\.html does not exist; make it with `dvc repro report@toybox-car`"),
     ],
@@ -84,6 +140,19 @@ def test_what_is_wrong_is_one_sentence(project: Path, words: list[str], message:
     with pytest.raises(SystemExit, match=r"^error: .*" + message):
         main(["--project", str(project), *words])
     assert not (project / "out").exists()
+
+
+def test_two_photographs_of_one_name_are_refused(project: Path, tmp_path: Path) -> None:
+    shutil.copytree(tmp_path / "project", tmp_path / "other")
+    shutil.copy(tmp_path / "car.png", tmp_path / "other/car.png")
+    with pytest.raises(SystemExit, match=r"would both be written as .*car\.glb; rename one"):
+        reconstruct(project, str(tmp_path / "car.png"), str(tmp_path / "other/car.png"))
+
+
+def test_an_unknown_output_is_named(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        reconstruct(project, "x.jpg", "--outputs", "mesh,film")
+    assert "'film' is no output; expected some of mesh,picture" in capsys.readouterr().err
 
 
 def test_an_untrained_model_names_the_command_that_trains_it(project: Path, tmp_path: Path) -> None:

@@ -1,0 +1,59 @@
+"""Which photographs to reconstruct, and where what comes of them is written."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from pipeline.datasets.folder import ENDINGS
+from pipeline.errors import DataError
+
+FILES: Mapping[str, Sequence[str]] = {
+    "mesh": (".glb", ".obj", ".mtl", "_texture.png"),
+    "picture": ("_reconstruction.png",),
+    "turntable": ("_turntable.gif",),
+    "video": ("_turntable.mp4",),
+    "pose": ("_pose.json",),
+}
+"""Endings of the files of each output."""
+
+
+class Task(NamedTuple):
+    """A photograph and the path, without an ending, of its outputs."""
+
+    photograph: Path
+    target: Path
+
+    def file(self, ending: str) -> Path:
+        """Return the path of one output."""
+        return self.target.with_name(self.target.name + ending)
+
+    def done(self, outputs: Sequence[str]) -> bool:
+        """Whether all files of the outputs are there; each is written whole or not at all."""
+        return all(self.file(ending).is_file() for output in outputs for ending in FILES[output])
+
+
+def list_tasks(paths: Sequence[Path], out: Path) -> list[Task]:
+    """List the photographs among files and, at any depth, folders, whose arrangement the outputs keep.
+
+    Raises DataError for a path that does not exist, a folder without photographs, and two photographs of one name.
+    """
+    tasks = [task for path in paths for task in _tasks(path, out)]
+    seen: dict[Path, Path] = {}
+    for photograph, target in tasks:
+        other = seen.setdefault(target, photograph)
+        if other != photograph:
+            raise DataError(f"{other} and {photograph} would both be written as {target}.glb; rename one")
+    return tasks
+
+
+def _tasks(path: Path, out: Path) -> Iterator[Task]:
+    if path.is_file():
+        yield Task(path, out / path.stem)
+        return
+    if not path.is_dir():
+        raise DataError(f"{path} does not exist; give the path of a photograph or of a folder of photographs")
+    found = sorted(file for file in path.rglob("*") if file.suffix.lower() in ENDINGS and file.is_file())
+    if not found:
+        raise DataError(f"{path} holds no photographs ({' '.join(sorted(ENDINGS))}); give another folder")
+    for file in found:
+        yield Task(file, out / file.relative_to(path).with_suffix(""))

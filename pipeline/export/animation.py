@@ -1,0 +1,42 @@
+"""Turntables: animations that every browser and viewer plays."""
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float, UInt8
+from PIL import Image
+from torch import Tensor
+
+from pipeline.errors import ConfigError
+from pipeline.files import atomic_path
+
+
+def write_gif(path: Path, frames: Float[Tensor, "K 3 H W"], milliseconds: int) -> None:
+    """Write an endless animation, atomically; a frame is shown for so many milliseconds."""
+    first, *others = [Image.fromarray(frame) for frame in _pixels(frames)]
+    with atomic_path(path) as temporary:
+        first.save(temporary, "GIF", save_all=True, append_images=others, duration=milliseconds, loop=0)
+
+
+def write_mp4(path: Path, frames: Float[Tensor, "K 3 H W"], milliseconds: int) -> None:
+    """Write a film in H.264, which browsers play, atomically; heights and widths are even.
+
+    Raises ConfigError where the extra `video`, which brings the encoder, is not installed.
+    """
+    try:
+        from imageio_ffmpeg import write_frames
+    except ImportError:
+        raise ConfigError(
+            "films need the encoder of imageio-ffmpeg; install it with `pip install 'kato3d[video]'`"
+        ) from None
+    pixels = np.ascontiguousarray(_pixels(frames))
+    with atomic_path(path) as temporary:
+        film = write_frames(str(temporary), pixels.shape[2:0:-1], fps=1000 / milliseconds, macro_block_size=2)
+        film.send(None)
+        for frame in pixels:
+            film.send(frame)
+        film.close()
+
+
+def _pixels(frames: Float[Tensor, "K 3 H W"]) -> UInt8[np.ndarray, "K H W 3"]:
+    return (frames.clamp(0, 1) * 255).round().byte().permute(0, 2, 3, 1).numpy()
