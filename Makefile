@@ -41,5 +41,5 @@ clean:  ## remove the environment and restart states; models and results stay
 
 $(STAMP): constraints.txt pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[pipeline,development]"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[pipeline,remote,video,development]"
 	touch $@

@@ -9,12 +9,18 @@ from pathlib import Path
 from tests.project.import_closure import ROOT, import_closure
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-PACKAGE_OF = {"cv2": "opencv-python-headless", "PIL": "pillow", "ruamel": "ruamel.yaml", "yaml": "pyyaml"}
+PACKAGE_OF = {
+    "cv2": "opencv-python-headless",
+    "PIL": "pillow",
+    "imageio_ffmpeg": "imageio-ffmpeg",
+    "ruamel": "ruamel.yaml",
+    "yaml": "pyyaml",
+}
 TRAINING = ["train_features", "learn_base_shape", "train_full", "fine_tune"]
 
 
 def _names(requirements: list[str]) -> set[str]:
-    return {re.split(r"[<>=!~ ]", requirement)[0].lower() for requirement in requirements}
+    return {re.split(r"[\[<>=!~ ]", requirement)[0].lower() for requirement in requirements}
 
 
 def _third_party(files: list[Path]) -> set[str]:
@@ -30,7 +36,8 @@ def _third_party(files: list[Path]) -> set[str]:
 
 
 def test_everything_imported_is_declared_and_nothing_else() -> None:
-    declared = _names(PROJECT["dependencies"] + PROJECT["optional-dependencies"]["pipeline"])
+    extras = PROJECT["optional-dependencies"]
+    declared = _names(PROJECT["dependencies"] + extras["pipeline"] + extras["video"])
     imported = _third_party([*ROOT.glob("pipeline/**/*.py"), *ROOT.glob("stages/*.py")])
     assert imported == declared - {"dvc"}, "DVC is run, not imported"
 

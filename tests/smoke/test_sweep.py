@@ -1,7 +1,6 @@
 """Many runs at once from DVC's queue, and artifacts that travel through a remote."""
 
 import shutil
-import subprocess
 import time
 import urllib.request
 from collections.abc import Iterator
@@ -12,7 +11,7 @@ from moto.server import ThreadedMotoServer
 from ruamel.yaml import YAML
 
 from pipeline.files import sha256
-from tests.smoke.tiny_project import commands, environment, make_tiny_project, run
+from tests.smoke.tiny_project import commands, make_tiny_project, run
 
 pytestmark = pytest.mark.slow
 
@@ -38,14 +37,16 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def experiments(project: Path) -> Iterator[dict[int, str]]:
-    """Queue one run a seed, let two workers take them, and return the experiments' names by seed."""
+    """Queue one run a seed, let two workers take them, and return the git reference of each by its seed."""
     seeds = ",".join(map(str, SEEDS))
     run(project, "dvc", "exp", "run", "--queue", "-S", f"features.toybox-laptop.seed={seeds}", STAGE)
     run(project, "dvc", "queue", "start", "--jobs", "2")
     try:
         _wait_for_queue(project)
         names = run(project, "dvc", "exp", "list", "--name-only").split()
-        yield {_at(project, name, "params.yaml")["features"]["toybox-laptop"]["seed"]: name for name in names}
+        references = run(project, "git", "for-each-ref", "--format=%(refname)", "refs/exps").split()
+        of_runs = [reference for reference in references if reference.rpartition("/")[2] in names]
+        yield {_at(project, run_, "params.yaml")["features"]["toybox-laptop"]["seed"]: run_ for run_ in of_runs}
     finally:
         run(project, "dvc", "queue", "stop", "--kill")
 
@@ -75,7 +76,7 @@ def test_queued_runs_do_not_disturb_each_other(project: Path, experiments: dict[
     for option, value in (changed | {"--checkpoints": "checkpoints"}).items():
         command[command.index(option) + 1] = value if option == "--seed" else str(tmp_path / value)
     run(project, *command)
-    run(project, "dvc", "exp", "apply", experiments[1])
+    run(project, "dvc", "exp", "apply", experiments[1].rpartition("/")[2])
     assert (project / MODEL).read_bytes() == (tmp_path / "model.safetensors").read_bytes()
 
 

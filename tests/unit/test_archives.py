@@ -1,6 +1,8 @@
 """Folders and archives are read alike, and nothing outside of them is reachable."""
 
+import tracemalloc
 import zipfile
+from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 
 import pytest
@@ -20,6 +22,20 @@ def test_every_form_holds_the_same(tmp_path: Path) -> None:
     assert contents(write_zip(tmp_path / "pictures.zip", files)) == files
     for ending in ("tar", "tar.gz", "tar.xz", "tar.bz2"):
         assert contents(write_tar(tmp_path / f"pictures.{ending}", files)) == files
+
+
+@pytest.mark.parametrize("write", [write_folder, write_tar])
+def test_a_longer_tree_takes_hardly_more_memory(
+    tmp_path: Path, write: Callable[[Path, dict[str, bytes]], Path]
+) -> None:
+    peaks = []
+    for count in (100, 2000):
+        source = write(tmp_path / f"{count}.tar", {f"train/car/{number}.jpg": b"x" for number in range(count)})
+        tracemalloc.start()
+        assert sum(content is not None for _, content in read_tree(source)) == count
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] - peaks[0] < 2000 * 150  # bytes a file: its name at most
 
 
 @pytest.mark.parametrize("ending", ["tar", "tar.gz", "tar.xz", "zip"])

@@ -7,6 +7,8 @@ import pytest
 import torch
 
 from pipeline.datasets.images import MappedImages, load_images, place_images
+from pipeline.device import resolve_memory
+from pipeline.errors import ConfigError
 
 CPU = torch.device("cpu")
 PICTURE = 3 * 4 * 4
@@ -42,3 +44,10 @@ def test_a_mapped_file_is_never_changed(tmp_path: Path, parts: list[torch.Tensor
     before = (tmp_path / "car.npy").read_bytes()
     parts[0].zero_()
     assert (tmp_path / "car.npy").read_bytes() == before
+
+
+@pytest.mark.parametrize("wrong", [0, -1, True, "8 GB", None])
+def test_a_memory_that_is_no_number_is_an_error(wrong: object) -> None:
+    assert resolve_memory(0.5) == 2**29
+    with pytest.raises(ConfigError, match=r"^memory is .*; expected a number of GiB above 0"):
+        resolve_memory(wrong)
