@@ -51,8 +51,8 @@ def test_boxes_are_cut_and_made_square(tmp_path: Path) -> None:
 
 def test_ground_truth_reaches_evaluation_alone(tmp_path: Path) -> None:
     dataset = read_pascal3d(write_folder(tmp_path / "release", release()), CONFIG)
-    write_images(tmp_path / "prepared", dataset)
-    write_truth(tmp_path / "truth", dataset)
+    write_images(tmp_path / "prepared", dataset.images)
+    write_truth(tmp_path / "truth", dataset.truth)
     read = load_true_split(tmp_path / "truth", "test", "car")
     assert read is not None
     assert read.objects is None
