@@ -1,4 +1,8 @@
-"""Charts as inline SVG that follows the page's colours: class `series-0` to `series-7` and `axis`, `grid`, `guide`."""
+"""Charts as inline SVG that follows the page's colours: class `series-0` to `series-7` and `axis`, `grid`, `guide`.
+
+Series differ in more than colour: lines have dashes of their own (`dash-0` to `dash-4`), and the bars of a second group
+are pale.
+"""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,6 +11,7 @@ from typing import NamedTuple
 
 WIDTH, HEIGHT = 420, 260
 LEFT, RIGHT, TOP, BOTTOM = 56, 22, 12, 44
+COLORS, DASHES = 8, 5
 
 Point = tuple[float, float]
 
@@ -36,11 +41,12 @@ def line_chart(series: Mapping[str, Sequence[Point]], x_label: str, y_label: str
     points = [point for line in series.values() for point in line]
     x_axis = spanning_axis([x for x, _ in points], x_label)
     y_axis = spanning_axis([y for _, y in points], y_label)
-    lines = []
-    for index, line in enumerate(series.values()):
+    lines, keys = [], {}
+    for index, (name, line) in enumerate(series.items()):
         path = " ".join(f"{_x(x, x_axis):.1f},{_y(y, y_axis):.1f}" for x, y in line)
-        lines.append(f'<polyline class="series-{index % 8}" points="{path}"/>')
-    return _chart(x_axis, y_axis, lines, list(series) if len(series) > 1 else [])
+        lines.append(f'<polyline class="{_look(index)}" points="{path}"/>')
+        keys[name] = f'<polyline class="{_look(index)}" points="0,6 28,6"/>'
+    return _chart(x_axis, y_axis, lines, keys if len(series) > 1 else {})
 
 
 def histogram(groups: Mapping[str, Sequence[float]], edges: Sequence[float], x_axis: Axis) -> str:
@@ -57,14 +63,18 @@ def histogram(groups: Mapping[str, Sequence[float]], edges: Sequence[float], x_a
                 f'<rect class="bar series-{index}" x="{left:.1f}" y="{top:.1f}" width="{width:.1f}" '
                 f'height="{_y(0, y_axis) - top:.1f}"/>'
             )
-    return _chart(x_axis, y_axis, bars, list(groups))
+    keys = {
+        name: f'<rect class="bar series-{index}" x="8" y="1" width="12" height="10"/>'
+        for index, name in enumerate(groups)
+    }
+    return _chart(x_axis, y_axis, bars, keys)
 
 
 def scatter(points: Sequence[Point], guides: Mapping[str, Sequence[Sequence[Point]]], axes: tuple[Axis, Axis]) -> str:
     """Draw points over named guides, each a set of straight lines."""
     x_axis, y_axis = axes
     marks = [
-        f'<line class="guide series-{index + 1}" x1="{_x(start[0], x_axis):.1f}" y1="{_y(start[1], y_axis):.1f}" '
+        f'<line class="guide {_look(index + 1)}" x1="{_x(start[0], x_axis):.1f}" y1="{_y(start[1], y_axis):.1f}" '
         f'x2="{_x(end[0], x_axis):.1f}" y2="{_y(end[1], y_axis):.1f}"/>'
         for index, lines in enumerate(guides.values())
         for start, end in lines
@@ -72,7 +82,10 @@ def scatter(points: Sequence[Point], guides: Mapping[str, Sequence[Sequence[Poin
     marks += [
         f'<circle class="dot series-0" cx="{_x(x, x_axis):.1f}" cy="{_y(y, y_axis):.1f}" r="2.5"/>' for x, y in points
     ]
-    return _chart(x_axis, y_axis, marks, ["pictures", *guides])
+    keys = {"pictures": '<circle class="dot series-0" cx="14" cy="6" r="4"/>'}
+    for index, name in enumerate(guides):
+        keys[name] = f'<line class="guide {_look(index + 1)}" x1="0" y1="6" x2="28" y2="6"/>'
+    return _chart(x_axis, y_axis, marks, keys)
 
 
 def _shares(values: Sequence[float], edges: Sequence[float]) -> list[float]:
@@ -83,10 +96,15 @@ def _shares(values: Sequence[float], edges: Sequence[float]) -> list[float]:
     return [count / len(values) for count in counts]
 
 
-def _chart(x_axis: Axis, y_axis: Axis, marks: Sequence[str], names: Sequence[str]) -> str:
+def _look(index: int) -> str:
+    return f"series-{index % COLORS} dash-{index % DASHES}"
+
+
+def _chart(x_axis: Axis, y_axis: Axis, marks: Sequence[str], keys: Mapping[str, str]) -> str:
+    """Draw marks over a grid; `keys` has a sample of each name's mark, 28 units wide and 12 high."""
     legend = "".join(
-        f'<span class="key"><i class="swatch series-{index % 8}"></i>{escape(name)}</span>'
-        for index, name in enumerate(names)
+        f'<span class="key"><svg viewBox="0 0 28 12" aria-hidden="true">{sample}</svg>{escape(name)}</span>'
+        for name, sample in keys.items()
     )
     label = escape(f"{y_axis.label} over {x_axis.label}", quote=True)
     drawing = "".join([*_grid(x_axis, y_axis), *marks])

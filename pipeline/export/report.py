@@ -11,9 +11,11 @@ from torch import Tensor
 
 from pipeline.evaluation.artifacts import Reconstructions
 from pipeline.export.picture import enlarge, tile, write_png
+from pipeline.export.report_meshes import base_exhibit, reconstruction_exhibits, seed_exhibits
 from pipeline.export.report_metrics import curve_section, headline, metrics_section, pose_section
 from pipeline.export.report_page import Section, page
-from pipeline.export.report_pictures import Gallery, base_shape_section, example_section, turn_section
+from pipeline.export.report_pictures import Gallery, base_shape_section, example_section, step_section
+from pipeline.export.viewer import viewer_section
 from pipeline.export.views import ViewConfig, on_white
 from pipeline.files import atomic_path
 from pipeline.geometry.camera import CameraConfig
@@ -27,7 +29,7 @@ class ReportConfig:
     Attributes:
         seed: of the random choice of examples.
         examples: random pictures shown, and as many of the best.
-        turntables: of the examples, how many are shown as turntables and in 50-degree steps.
+        stepped: of the random pictures, how many are shown in 50-degree steps.
         frames: renderings in one turn of a turntable.
         other_view: turn in degrees from the estimated view to the other view of an example.
         view: size and elevation of renderings.
@@ -35,7 +37,7 @@ class ReportConfig:
 
     seed: int
     examples: int
-    turntables: int
+    stepped: int
     frames: int
     other_view: float
     view: ViewConfig
@@ -72,11 +74,18 @@ def write_report(inputs: ReportInputs, config: ReportConfig, page_folder: Path, 
     best, random = choose_examples(inputs, config)
     gallery = Gallery(inputs.reconstructions, inputs.photographs, inputs.camera, config.view)
     seeds = gallery.seed_views(inputs.seeds, inputs.seed_faces)
+    exhibits = [
+        *reconstruction_exhibits("best", "Best reconstructions", gallery, best, inputs.table),
+        *reconstruction_exhibits("random", "Random reconstructions", gallery, random, inputs.table),
+        base_exhibit(inputs.base, gallery),
+        *seed_exhibits(inputs.seeds, inputs.seed_faces, inputs.seed_scores, seeds, config.view.elevation),
+    ]
     sections = [
+        viewer_section(exhibits, inputs.camera),
         base_shape_section(seeds, inputs.seed_scores),
         example_section("best", "Best reconstructions", gallery, best, inputs.table, config.other_view),
         example_section("random", "Random reconstructions", gallery, random, inputs.table, config.other_view),
-        turn_section(gallery, random[: config.turntables], inputs.base, inputs.table["test_index"], config.frames),
+        step_section(gallery, random[: config.stepped], inputs.table["test_index"]),
         *pose_section(inputs.figures, inputs.table),
         curve_section(inputs.curves),
         metrics_section(inputs.figures, inputs.stage_figures),
@@ -88,7 +97,7 @@ def write_report(inputs: ReportInputs, config: ReportConfig, page_folder: Path, 
         renderings = gallery.renderings(torch.cat([best, random]), config.other_view)
         factor = max(1, config.view.size // renderings.shape[-1])
         write_png(folder / "reconstructions.png", tile(enlarge(renderings.transpose(0, 1), factor), gap=4, shade=1.0))
-        steps = torch.stack([gallery.steps(index) for index in random[: config.turntables].tolist()])
+        steps = torch.stack([gallery.steps(index) for index in random[: config.stepped].tolist()])
         write_png(folder / "steps.png", tile(on_white(steps), gap=4, shade=1.0))
 
 

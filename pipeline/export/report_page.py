@@ -1,10 +1,15 @@
-"""Pieces of the report page as HTML text: headline tiles, tables, pictures, turntables and the page around them."""
+"""Pieces of the report page as HTML text: headline tiles, tables, pictures and the page around them."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
 from typing import Any, NamedTuple
 
-from pipeline.export.report_style import SCRIPT, STYLE
+from pipeline.export.report_style import STYLE
+
+# The browser itself refuses any request: the page holds what it shows.
+POLICY = (
+    "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline'; img-src data: blob:; connect-src blob:"
+)
 
 
 class Section(NamedTuple):
@@ -40,10 +45,11 @@ def page(title: str, introduction: str, tiles: Sequence[Tile], sections: Sequenc
     )
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(title)}</title><style>{STYLE}</style></head><body><main>"
         f'<header><h1>{escape(title)}</h1><p class="lead">{escape(introduction)}</p><nav>{links}</nav></header>'
-        f'<div class="tiles">{heads}</div>{parts}</main><script>{SCRIPT}</script></body></html>\n'
+        f'<div class="tiles">{heads}</div>{parts}</main></body></html>\n'
     )
 
 
@@ -75,20 +81,15 @@ def card(content: str, caption: str, style: str = "") -> str:
     return f'<figure class="card {style}">{content}<figcaption>{caption}</figcaption></figure>'
 
 
+def captioned(content: str, caption: str) -> str:
+    """Put a caption, which is already HTML, under content."""
+    return f"<figure>{content}<figcaption>{caption}</figcaption></figure>"
+
+
 def four(addresses: Sequence[str], names: Sequence[str]) -> str:
     """Show four small pictures side by side over their names."""
     pictures = "".join(image(address, name, pixels=True) for address, name in zip(addresses, names, strict=True))
     return f'<div class="four">{pictures}{"".join(f"<span>{escape(name)}</span>" for name in names)}</div>'
-
-
-def turntable(address: str, frames: int, description: str) -> str:
-    """Show a strip of frames one at a time, turned by a slider or by dragging."""
-    label = escape(description, quote=True)
-    return (
-        f'<div class="turntable"><div class="frames" role="img" aria-label="{label}" '
-        f"style=\"background-image:url('{address}')\"></div>"
-        f'<input type="range" min="0" max="{frames - 1}" value="0" aria-label="turn"></div>'
-    )
 
 
 def grid(style: str, items: Sequence[str]) -> str:

@@ -1,4 +1,4 @@
-"""The report's picture sections: base shapes, reconstructions, turntables."""
+"""The report's picture sections: base shapes, reconstructions, steps around objects."""
 
 from collections.abc import Mapping, Sequence
 
@@ -8,7 +8,8 @@ from torch import Tensor
 
 from pipeline.evaluation.artifacts import Reconstructions
 from pipeline.export.picture import data_uri, strip
-from pipeline.export.report_page import Section, card, four, grid, image, turntable
+from pipeline.export.report_page import Section, card, four, grid, image
+from pipeline.export.viewer import turn_link
 from pipeline.export.views import SEED_AZIMUTHS, ViewConfig, render_clay, render_textured
 from pipeline.geometry.camera import CameraConfig
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
@@ -27,7 +28,8 @@ class Gallery:
         view: ViewConfig,
     ) -> None:
         self.photographs = photographs
-        self._reconstructions = reconstructions
+        self.reconstructions = reconstructions
+        self.elevation = view.elevation
         self._camera = camera
         self._view = view
 
@@ -37,33 +39,28 @@ class Gallery:
 
     def renderings(self, index: Int[Tensor, " K"], other_view: float) -> Float[Tensor, "K 3 3 H W"]:
         """Return the reconstruction, the fine-tuned one, and the latter from `other_view` degrees further round."""
-        found = self._reconstructions
+        found = self.reconstructions
         others = self._other_view(index, other_view)
         return torch.stack([found.predicted.images[index], found.tuned.images[index], others], dim=1)
 
     def steps(self, index: int) -> Float[Tensor, "K 4 H W"]:
         """Render one fine-tuned object at steps of 50 degrees."""
-        found = self._reconstructions
+        found = self.reconstructions
         return self._around(found.tuned.vertices[index], found.textures[index], STEP_AZIMUTHS)
 
-    def turn(self, index: int, frames: int) -> Float[Tensor, "K 4 H W"]:
-        """Render one fine-tuned object all around."""
-        found = self._reconstructions
-        return self._around(found.tuned.vertices[index], found.textures[index], _full_turn(frames))
-
-    def base_turn(self, base: Float[Tensor, "V 3"], frames: int) -> Float[Tensor, "K 4 H W"]:
-        """Render the base shape with the mean of all textures all around."""
-        return self._around(base, self._reconstructions.textures.mean(0), _full_turn(frames))
+    def base_view(self, base: Float[Tensor, "V 3"], azimuth: float) -> Float[Tensor, "4 H W"]:
+        """Render the base shape with the mean of all textures from one side."""
+        return self._around(base, self.reconstructions.textures.mean(0), [azimuth])[0]
 
     def _around(
         self, vertices: Float[Tensor, "V 3"], texture: Float[Tensor, "3 T T"], azimuths: Sequence[float]
     ) -> Float[Tensor, "K 4 H W"]:
-        found = self._reconstructions
+        found = self.reconstructions
         return render_textured(vertices, found.faces, found.directions, texture, azimuths, self._camera, self._view)
 
     @torch.no_grad()
     def _other_view(self, index: Int[Tensor, " K"], turn: float) -> Float[Tensor, "K 3 H W"]:
-        found = self._reconstructions
+        found = self.reconstructions
         size = self.photographs.shape[-1]
         mesh = Mesh(found.tuned.vertices[index], found.faces, found.directions)
         pose = type(found.tuned.pose)(*(values[index] for values in found.tuned.pose))
@@ -75,18 +72,23 @@ class Gallery:
 
 def base_shape_section(views: Float[Tensor, "S 4 4 H W"], scores: Float[Tensor, " S"]) -> Section:
     """Show the base shapes of all seeds, the chosen one marked."""
-    chosen = int(scores.argmin())
     items = []
-    for seed, (row, score) in enumerate(zip(views, scores.tolist(), strict=True)):
-        mark = " <b>chosen</b>" if seed == chosen else ""
+    for seed, row in enumerate(views):
         picture = image(data_uri(strip(row)), f"base shape of seed {seed} from four sides")
-        items.append(card(picture, f"seed {seed} · score {score:.4f}{mark}", "chosen" if seed == chosen else ""))
+        caption = f"{seed_caption(seed, scores)} · {turn_link(f'seed-{seed}')}"
+        items.append(card(picture, caption, "chosen" if seed == scores.argmin() else ""))
     introduction = (
         "One base shape a seed, seen from the front, the front corner, the side and the rear corner. "
         "The score is the distance of fresh renderings from the photographs in feature space: no label takes part in "
         "it, and the lowest is chosen."
     )
     return Section("base-shapes", "Base shapes", introduction, grid("seeds", items))
+
+
+def seed_caption(seed: int, scores: Float[Tensor, " S"]) -> str:
+    """Say a seed's score, and whether it was chosen, as HTML."""
+    mark = " <b>chosen</b>" if seed == scores.argmin() else ""
+    return f"seed {seed} · score {scores[seed]:.4f}{mark}"
 
 
 def example_section(
@@ -102,11 +104,8 @@ def example_section(
     items = []
     for position, renderings in zip(index.tolist(), gallery.renderings(index, other_view), strict=True):
         pictures = [gallery.photographs[position], *renderings]
-        before, after = (float(table[f"feature_distance_{stage}"][position]) for stage in ("predicted", "tuned"))
-        caption = f"test picture {table['test_index'][position]} · distance {before:.3f} → {after:.3f}"
-        if "rotation_error_predicted" in table:
-            error = float(table["rotation_error_predicted"][position])
-            caption += f" · {error:.0f}° off ({table['error_mode_predicted'][position].replace('_', ' ')})"
+        caption = f"test picture {table['test_index'][position]} · {example_figures(table, position)}"
+        caption += f" · {turn_link(f'{anchor}-{position}')}"
         items.append(card(four([data_uri(picture) for picture in pictures], names), caption))
     introduction = (
         f"The other view is the fine-tuned object turned by {other_view:g} degrees. "
@@ -115,27 +114,22 @@ def example_section(
     return Section(anchor, heading, introduction, grid("examples", items))
 
 
-def turn_section(
-    gallery: Gallery, index: Int[Tensor, " K"], base: Float[Tensor, "V 3"], numbers: Sequence[str], frames: int
-) -> Section:
-    """Show the base shape and objects to turn by hand, and the objects in steps of 50 degrees.
+def example_figures(table: Mapping[str, list[str]], position: int) -> str:
+    """Say a picture's feature distance before and after fine-tuning and, where it is known, the error of its pose."""
+    before, after = (float(table[f"feature_distance_{stage}"][position]) for stage in ("predicted", "tuned"))
+    figures = f"distance {before:.3f} → {after:.3f}"
+    if "rotation_error_predicted" in table:
+        error = float(table["rotation_error_predicted"][position])
+        figures += f" · {error:.0f}° off ({table['error_mode_predicted'][position].replace('_', ' ')})"
+    return figures
 
-    `numbers` are the pictures' places in the test split.
-    """
-    base_sheet = data_uri(strip(gallery.base_turn(base, frames)))
-    tables, strips = [card(turntable(base_sheet, frames, "base shape all around"), "base shape, mean texture")], []
+
+def step_section(gallery: Gallery, index: Int[Tensor, " K"], numbers: Sequence[str]) -> Section:
+    """Show fine-tuned objects in steps of 50 degrees; `numbers` are the pictures' places in the test split."""
+    strips = []
     for position in index.tolist():
-        name = f"test picture {numbers[position]}"
-        sheet = data_uri(strip(gallery.turn(position, frames)))
-        tables.append(card(turntable(sheet, frames, f"{name} all around"), name))
         steps = data_uri(strip(gallery.steps(position)))
-        strips.append(f'<div class="strip">{image(steps, f"{name} at steps of 50 degrees")}</div>')
-    introduction = (
-        "The base shape and fine-tuned reconstructions from all around: drag a picture or its slider, or read the "
-        "strips of 50 degrees."
-    )
-    return Section("turntables", "Turntables", introduction, grid("tables", tables) + "".join(strips))
-
-
-def _full_turn(frames: int) -> list[float]:
-    return [360 * frame / frames for frame in range(frames)]
+        described = f"test picture {numbers[position]} at steps of 50 degrees"
+        strips.append(f'<div class="strip" tabindex="0">{image(steps, described)}</div>')
+    introduction = "Random fine-tuned reconstructions, each turned by 50 degrees from picture to picture."
+    return Section("steps", "Steps of 50 degrees", introduction, "".join(strips))

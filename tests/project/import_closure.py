@@ -12,23 +12,27 @@ from ruamel.yaml import YAML
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("pipeline", "stages")
+CODE = (".py", ".js")
 
 
 def import_closure(module: str, root: Path = ROOT) -> list[str]:
-    """List the project's files that a module imports, directly or not, at its top or inside a function; itself too."""
+    """List the project's files that a module imports, directly or not, at its top or inside a function; itself too.
+
+    With a module come the scripts for browsers that lie beside it and that it names.
+    """
     found: set[Path] = set()
     waiting = [_file(module, root)]
     while waiting:
         file = waiting.pop()
         if file is not None and file not in found:
-            found.add(file)
+            found |= {file, *_named_scripts(file)}
             waiting += [_file(name, root) for name in _imported_names(file)]
     return sorted(file.relative_to(root).as_posix() for file in found)
 
 
 def code_dependencies(stage: dict[str, Any]) -> list[str]:
-    """List the Python files among a stage's dependencies, as dvc.yaml gives them."""
-    return [path for path in stage["deps"] if path.endswith(".py")]
+    """List the code among a stage's dependencies, as dvc.yaml gives them."""
+    return [path for path in stage["deps"] if path.endswith(CODE)]
 
 
 def stage_bodies(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
@@ -45,6 +49,10 @@ def _imported_names(file: Path) -> Iterator[str]:
             yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
+def _named_scripts(file: Path) -> list[Path]:
+    return [path for path in file.parent.glob("*.js") if f'"{path.name}"' in file.read_text(encoding="utf-8")]
+
+
 def _file(module: str, root: Path) -> Path | None:
     if module.split(".")[0] not in PACKAGES:
         return None
@@ -57,7 +65,7 @@ def _rewrite(path: Path) -> None:
     yaml.width = 120
     document = yaml.load(path)
     for name, stage in stage_bodies(document).items():
-        data = [dependency for dependency in stage["deps"] if not dependency.endswith(".py")]
+        data = [dependency for dependency in stage["deps"] if not dependency.endswith(CODE)]
         stage["deps"][:] = data + import_closure(f"stages.{name}")
     yaml.dump(document, path)
 

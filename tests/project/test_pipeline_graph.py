@@ -92,12 +92,14 @@ def test_no_artifact_path_stands_in_the_code() -> None:
     assert [file.relative_to(ROOT).as_posix() for file in files if pattern.search(file.read_text())] == []
 
 
-def test_the_closure_follows_imports_inside_functions(tmp_path: Path) -> None:
+def test_the_closure_follows_imports_inside_functions_and_takes_named_scripts(tmp_path: Path) -> None:
     (tmp_path / "stages").mkdir()
     (tmp_path / "pipeline" / "inner").mkdir(parents=True)
     (tmp_path / "stages" / "work.py").write_text("import os\nfrom pipeline import first\n")
     (tmp_path / "pipeline" / "first.py").write_text("def late():\n    from pipeline.inner.second import thing\n")
-    (tmp_path / "pipeline" / "inner" / "second.py").write_text("import pipeline.first\n")
+    for script in ("page.js", "other.js"):
+        (tmp_path / "pipeline" / "inner" / script).touch()
+    (tmp_path / "pipeline" / "inner" / "second.py").write_text('import pipeline.first\nSCRIPT = "page.js"\n')
     (tmp_path / "pipeline" / "inner" / "unused.py").touch()
-    expected = ["pipeline/first.py", "pipeline/inner/second.py", "stages/work.py"]
+    expected = ["pipeline/first.py", "pipeline/inner/page.js", "pipeline/inner/second.py", "stages/work.py"]
     assert import_closure("stages.work", tmp_path) == expected

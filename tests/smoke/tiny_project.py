@@ -59,7 +59,7 @@ TINY: dict[str, Any] = {
     },
     "evaluate_base_shape": {"voxel_resolution": 8, "view": {"size": 32, "supersampling": 1}},
     "evaluate": {"shape": {"voxel_resolution": 8, "surface_points": 50}, "chance_draws": 10},
-    "report": {"examples": 2, "turntables": 1, "frames": 2, "view": {"size": 32, "supersampling": 1}},
+    "report": {"examples": 2, "stepped": 1, "frames": 2, "view": {"size": 32, "supersampling": 1}},
 }
 
 

@@ -19,7 +19,7 @@ from pipeline.export.charts import (
 
 
 def drawing(chart: str) -> ElementTree.Element:
-    return ElementTree.fromstring(re.search("<svg.*</svg>", chart)[0])  # pyright: ignore[reportOptionalSubscript]
+    return ElementTree.fromstring(re.search("<svg.*?</svg>", chart)[0])  # pyright: ignore[reportOptionalSubscript]
 
 
 @pytest.mark.parametrize(

@@ -2,71 +2,25 @@ import base64
 import io
 import math
 import re
+import zipfile
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy
 import pytest
 import torch
+import trimesh
 from PIL import Image
 
-from pipeline.evaluation.artifacts import Reconstruction, Reconstructions
+from pipeline.errors import DataError
 from pipeline.export.picture import data_uri, encode_png, enlarge, tile
-from pipeline.export.report import ReportConfig, ReportInputs, choose_examples, write_report
-from pipeline.export.views import ViewConfig, on_white, render_clay, render_textured
-from pipeline.geometry.camera import CameraConfig, Pose
+from pipeline.export.report import choose_examples, write_report
+from pipeline.export.viewer import three_js
+from pipeline.export.views import on_white, render_clay, render_textured
 from pipeline.geometry.icosphere import icosphere
+from tests.report_inputs import CAMERA, CONFIG, DIMENSIONS, VIEW, inputs
 
-CAMERA = CameraConfig(distance=2.7, field_of_view=30.0)
-VIEW = ViewConfig(size=24, supersampling=2, elevation=0.0)
-CONFIG = ReportConfig(seed=0, examples=2, turntables=1, frames=4, other_view=90.0, view=VIEW)
-COUNT = 4
 EMPTY_ELEMENTS = {"meta", "img", "input"}
-
-
-def figure(value: float) -> dict[str, float]:
-    return {"value": value, "n": COUNT, "standard_error": 0.1}
-
-
-def inputs(truth: bool) -> ReportInputs:
-    sphere, faces = icosphere(1)
-    directions = sphere.float()
-    zeros = torch.zeros(COUNT)
-    pose = Pose(zeros, zeros, zeros, torch.zeros(COUNT, 2), zeros + 1)
-    vertices = directions.expand(COUNT, -1, -1) / 2
-    found = Reconstruction(pose, vertices, *[torch.full((COUNT, 3, 16, 16), 0.5)] * 2)
-    columns = {"feature_distance": figure(0.5), "psnr": figure(20), "ssim": figure(0.5)}
-    figures: dict = {
-        "reconstruction": dict.fromkeys(("predicted", "tuned", "retrieved"), columns) | {"improved": figure(0.75)}
-    }
-    table = {f"feature_distance_{stage}": ["4", "1", "3", "2"] for stage in ("predicted", "tuned")}
-    table["test_index"] = ["7", "8", "9", "10"]
-    if truth:
-        row = {"acc_pi6": 0.5, "n": COUNT, "standard_error": 0.2, "median_error_degrees": figure(20)}
-        figures["alignment"] = {"degrees": 90.0, "n": 10}
-        figures["pose"] = {"test": row | {"flipped": figure(0.25)}, "chance": row, "constant": row}
-        ious = {"voxel_iou": figure(0.6), "mask_iou": figure(0.7)}
-        figures["shape"] = {"test": ious, "base": {"voxel_iou": figure(0.6)}, "constant": ious}
-        table |= {"truth_azimuth": ["0", "90", "180", "270"], "azimuth_predicted": ["0", "-90", "170", "0"]}
-        table |= {f"rotation_error_{stage}": ["0", "180", "10", "90"] for stage in ("predicted", "tuned")}
-        table["error_mode_predicted"] = ["correct", "flipped", "correct", "other"]
-    photographs = torch.tensor([1.0, 0, 1])[:, None, None].expand(COUNT, 3, 16, 16)
-    textures = torch.full((COUNT, 3, 4, 4), 0.25)
-    curve = {"iteration": ["0", "1"], "seed": ["0", "0"], "loss": ["2", "1"]}
-    return ReportInputs(
-        run="toy<car>",
-        photographs=photographs,
-        reconstructions=Reconstructions(found, found, textures, faces, directions, torch.arange(7, 11)),
-        seeds=torch.stack([directions / 2, directions / 3]),
-        seed_faces=faces,
-        seed_scores=torch.tensor([0.5, 0.25]),
-        base=directions / 2,
-        camera=CAMERA,
-        figures=figures,
-        stage_figures={"remesh": {"area_variation": 0.1}},
-        curves={"base_shape": curve},
-        table=table,
-    )
 
 
 def read_png(content: bytes) -> torch.Tensor:
@@ -107,9 +61,31 @@ def test_page_is_whole_and_needs_nothing_beside_it(tmp_path: Path, truth: bool) 
     assert outline.open == []
     assert all(address.startswith(("data:image/png;base64,", "#")) for address in outline.addresses)
     assert {address[1:] for address in outline.addresses if address.startswith("#")} == set(outline.anchors)
-    assert "://" not in re.sub("base64,[^\"')]*", "", text)
+    assert "default-src 'none'" in text
+    assert "://" not in re.sub("<script>.*?</script>", "", text, flags=re.DOTALL)
     assert "<h1>Run toy&lt;car&gt;</h1>" in text
     assert ("poses within 30°" in text) == truth
+
+
+def test_viewer_holds_every_mesh_as_it_is_exported(tmp_path: Path) -> None:
+    write_report(inputs(truth=False), CONFIG, tmp_path / "page", tmp_path / "figures")
+    text = (tmp_path / "page/index.html").read_text()
+    meshes = dict(re.findall(r'value="([\w-]+)" [^>]*data-glb="([^"]+)"', text))
+    assert list(meshes)[:2] == ["best-1", "best-3"]
+    assert list(meshes)[4:] == ["base", "seed-0", "seed-1"]
+    assert set(re.findall('data-exhibit="([^"]+)"', text)) == set(meshes) - {"base"}
+    (tmp_path / "base.glb").write_bytes(base64.b64decode(meshes["base"]))
+    loaded = trimesh.load_mesh(tmp_path / "base.glb", process=False)
+    torch.testing.assert_close(torch.tensor(loaded.extents).float(), DIMENSIONS, atol=0.01, rtol=0)
+
+
+def test_a_trimesh_without_three_js_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    archive = io.BytesIO()
+    with zipfile.ZipFile(archive, "w") as file:
+        file.writestr("viewer.html.template", "<script>var camera</script>")
+    monkeypatch.setattr("pipeline.export.viewer.get_bytes", lambda _: archive.getvalue())
+    with pytest.raises(DataError, match=r"brings no three\.js .* install that of constraints\.txt"):
+        three_js()
 
 
 def test_figures_hold_renderings_and_no_photograph(tmp_path: Path) -> None:

@@ -1,0 +1,170 @@
+// One WebGL context shows one mesh at a time, because phones allow few. Angles are the project's: at azimuth 0 the camera
+// sees the front (+z), at 90 degrees the side at +x.
+(() => {
+  const viewer = document.querySelector('.viewer');
+  const find = selector => viewer.querySelector(selector);
+  const canvas = find('canvas'), stage = find('.stage'), spinButton = find('[name=spin]');
+  const sliders = { azimuth: find('[name=azimuth]'), elevation: find('[name=elevation]') };
+  const choices = [...viewer.querySelectorAll('[name=exhibit]')];
+  const surfaces = [...viewer.querySelectorAll('[name=surface]')];
+  const radians = THREE.MathUtils.degToRad, DRAG = 0.5, KEY_STEP = 5, SPIN = 24; // degrees a pixel, a key, a second
+  const KEYS = { ArrowLeft: [-KEY_STEP, 0], ArrowRight: [KEY_STEP, 0], ArrowUp: [0, KEY_STEP], ArrowDown: [0, -KEY_STEP] };
+  const view = { azimuth: 0, elevation: 0 };
+  let renderer = null, mesh = null, chosen = choices[0], surface = 'texture';
+  let started = false, onScreen = false, spinning = false, frame = 0, before = 0;
+
+  const scene = new THREE.Scene();
+  const camera = new THREE.PerspectiveCamera(Number(viewer.dataset.fieldOfView), 1, 0.1, 10);
+  const lamp = new THREE.DirectionalLight(0xffffff, 0.75);
+  lamp.position.set(-0.6, 0.9, 0.4); // upper left of the camera, which carries it
+  camera.add(lamp);
+  scene.add(camera, new THREE.HemisphereLight(0xffffff, 0x8d8d8d, 0.55));
+  const clay = new THREE.MeshLambertMaterial({ color: new THREE.Color(0xd8d2c8).convertSRGBToLinear() });
+  const facets = new THREE.MeshPhongMaterial({ color: clay.color, specular: 0, flatShading: true,
+    polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
+  const wire = new THREE.LineBasicMaterial({ color: new THREE.Color(0x3b4a54).convertSRGBToLinear() });
+
+  function start() {
+    started = true;
+    try {
+      renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
+    } catch {
+      find('.problem').textContent = 'This browser shows no 3D: it offers no WebGL.';
+      find('.problem').hidden = false;
+      return;
+    }
+    renderer.outputEncoding = THREE.sRGBEncoding;
+    new ResizeObserver(resize).observe(stage);
+    resize();
+    choose(chosen);
+    spin(!matchMedia('(prefers-reduced-motion: reduce)').matches);
+  }
+
+  function resize() {
+    renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    renderer.setSize(canvas.clientWidth, canvas.clientHeight, false);
+    camera.aspect = canvas.clientWidth / canvas.clientHeight;
+    camera.updateProjectionMatrix();
+    draw();
+  }
+
+  function choose(choice) {
+    chosen = choice;
+    choice.checked = true;
+    find('.shown').textContent = choice.dataset.name;
+    canvas.setAttribute('aria-label', `${choice.dataset.name} in 3D, arrow keys turn it`);
+    for (const pictures of viewer.querySelectorAll('.beside')) pictures.hidden = pictures.dataset.key !== choice.value;
+    home();
+    if (renderer) load(choice);
+  }
+
+  function load(choice) {
+    canvas.setAttribute('aria-busy', true);
+    const content = Uint8Array.from(atob(choice.dataset.glb), letter => letter.charCodeAt(0));
+    new THREE.GLTFLoader().parse(content.buffer, '', loaded => {
+      if (choice !== chosen) return;
+      if (mesh) discard();
+      mesh = loaded.scene.getObjectByProperty('isMesh', true);
+      mesh.userData.painted = mesh.material;
+      mesh.add(new THREE.LineSegments(new THREE.WireframeGeometry(mesh.geometry), wire));
+      scene.add(mesh);
+      dress();
+      canvas.setAttribute('aria-busy', false);
+    }, error => { throw error; });
+  }
+
+  function discard() {
+    scene.remove(mesh);
+    mesh.userData.painted.map.dispose();
+    for (const part of [mesh.userData.painted, mesh.geometry, mesh.children[0].geometry]) part.dispose();
+  }
+
+  function dress() {
+    const worn = surface === 'texture' && !chosen.dataset.textured ? 'clay' : surface;
+    for (const option of surfaces) {
+      option.checked = option.value === worn;
+      option.disabled = option.value === 'texture' && !chosen.dataset.textured;
+    }
+    if (!mesh) return;
+    mesh.material = { texture: mesh.userData.painted, clay, polygons: facets }[worn];
+    mesh.children[0].visible = worn === 'polygons';
+    draw();
+  }
+
+  function look(azimuth, elevation) {
+    view.azimuth = THREE.MathUtils.euclideanModulo(azimuth + 180, 360) - 180;
+    view.elevation = THREE.MathUtils.clamp(elevation, Number(sliders.elevation.min), Number(sliders.elevation.max));
+    for (const [name, slider] of Object.entries(sliders)) {
+      slider.value = view[name];
+      slider.setAttribute('aria-valuetext', `${slider.value} degrees`);
+      slider.parentElement.nextElementSibling.textContent = `${slider.value}°`;
+    }
+    draw();
+  }
+
+  function home() { look(Number(chosen.dataset.azimuth), Number(chosen.dataset.elevation)); }
+
+  function draw() {
+    if (!frame) frame = requestAnimationFrame(render);
+  }
+
+  function render(now) {
+    frame = 0;
+    if (!mesh) return;
+    if (spinning && onScreen) look(view.azimuth + SPIN * Math.min(now - before, 100) / 1000, view.elevation);
+    before = now;
+    const azimuth = radians(view.azimuth), elevation = radians(view.elevation), level = Math.cos(elevation);
+    camera.position.set(Math.sin(azimuth) * level, Math.sin(elevation), Math.cos(azimuth) * level);
+    camera.position.multiplyScalar(mesh.geometry.boundingSphere.radius / Math.sin(radians(camera.fov / 2)));
+    camera.lookAt(0, 0, 0);
+    renderer.render(scene, camera);
+  }
+
+  function spin(on) {
+    spinning = on;
+    spinButton.setAttribute('aria-pressed', on);
+    draw();
+  }
+
+  function turn(byAzimuth, byElevation) {
+    spin(false);
+    look(view.azimuth + byAzimuth, view.elevation + byElevation);
+  }
+
+  for (const choice of choices) choice.addEventListener('change', () => { spin(false); choose(choice); });
+  for (const option of surfaces) option.addEventListener('change', () => { surface = option.value; dress(); });
+  for (const slider of Object.values(sliders)) slider.addEventListener('input', () => {
+    spin(false);
+    look(Number(sliders.azimuth.value), Number(sliders.elevation.value));
+  });
+  spinButton.addEventListener('click', () => spin(!spinning));
+  find('[name=home]').addEventListener('click', () => { spin(false); home(); });
+  document.addEventListener('click', event => {
+    const link = event.target.closest('[data-exhibit]');
+    if (!link) return;
+    spin(false);
+    choose(choices.find(choice => choice.value === link.dataset.exhibit));
+    canvas.focus({ preventScroll: true });
+  });
+  canvas.addEventListener('keydown', event => {
+    if (event.key === 'Home') { spin(false); home(); } else if (KEYS[event.key]) turn(...KEYS[event.key]); else return;
+    event.preventDefault();
+  });
+  // Vertical strokes of a finger scroll the page (touch-action), so touch turns the azimuth alone.
+  let held = null;
+  canvas.addEventListener('pointerdown', event => { held = event; canvas.setPointerCapture(event.pointerId); });
+  canvas.addEventListener('pointermove', event => {
+    if (!held || event.pointerId !== held.pointerId) return;
+    const up = event.pointerType === 'touch' ? 0 : event.clientY - held.clientY;
+    turn((held.clientX - event.clientX) * DRAG, up * DRAG);
+    held = event;
+  });
+  for (const end of ['pointerup', 'pointercancel']) canvas.addEventListener(end, () => { held = null; });
+  new IntersectionObserver(([entry]) => {
+    onScreen = entry.isIntersecting;
+    if (onScreen && !started) start();
+    draw();
+  }, { rootMargin: '200px' }).observe(viewer);
+  choose(chosen);
+  dress();
+})();
