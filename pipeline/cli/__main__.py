@@ -1,4 +1,4 @@
-"""The command line: `kato3d reconstruct`, `kato3d view` and `kato3d doctor`."""
+"""The command line: `kato3d reconstruct`, `kato3d view`, `kato3d runs` and `kato3d doctor`."""
 
 import sys
 import webbrowser
@@ -34,6 +34,8 @@ def _parser() -> ArgumentParser:
     view = commands.add_parser("view", help="open the page of a run")
     view.add_argument("--run", help="default: the first of params.yaml")
     view.set_defaults(command=_view)
+    runs = commands.add_parser("runs", help="write and open one table of all runs' figures")
+    runs.set_defaults(command=_runs)
     doctor = commands.add_parser("doctor", help="say what is installed and found, and what is missing")
     doctor.set_defaults(command=_doctor)
     return parser
@@ -71,9 +73,21 @@ def _outputs(text: str) -> list[str]:
 def _view(arguments: Namespace) -> None:
     from pipeline.cli.runs import find_run
 
-    page = find_run(arguments.project, arguments.run).page.resolve()
-    if not webbrowser.open(page.as_uri()):
-        print(f"open {page}")
+    _open(find_run(arguments.project, arguments.run).page)
+
+
+def _runs(arguments: Namespace) -> None:
+    from pipeline.cli.runs import measured_runs, runs_page
+    from pipeline.export.runs_page import write_runs_page
+
+    page = runs_page(arguments.project)
+    write_runs_page(page, measured_runs(arguments.project))
+    _open(page)
+
+
+def _open(page: Path) -> None:
+    if not webbrowser.open(page.resolve().as_uri()):
+        print(f"open {page.resolve()}")
 
 
 def _doctor(arguments: Namespace) -> None:

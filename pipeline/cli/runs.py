@@ -5,6 +5,8 @@ from pathlib import Path
 
 from pipeline.config import scalar
 from pipeline.errors import ConfigError, DataError
+from pipeline.export.runs_page import MeasuredRun
+from pipeline.files import read_json
 
 
 @dataclass(frozen=True)
@@ -55,3 +57,23 @@ def find_run(project: Path, name: str | None) -> Run:
     name = name if name is not None else next(iter(runs))
     scalar(params, f"runs.{name}")
     return Run(project, name, runs[name]["size"], runs[name]["features"])
+
+
+def measured_runs(project: Path) -> list[MeasuredRun]:
+    """Return the figures of every run that was evaluated in a project's folder, whether params.yaml names it or not.
+
+    Raises DataError where there is none.
+    """
+    metrics, pages = project / "results" / "metrics", runs_page(project).parent
+    runs = []
+    for path in sorted(metrics.glob("*.json")):
+        address = f"{path.stem}/index.html"
+        runs.append(MeasuredRun(path.stem, address if (pages / address).is_file() else None, read_json(path)))
+    if not runs:
+        raise DataError(f"{metrics} has no figures of a run; make them with `dvc repro`")
+    return runs
+
+
+def runs_page(project: Path) -> Path:
+    """Where the page of all runs is written: beside the folders of the runs' pages, outside the graph."""
+    return project / "results" / "report" / "index.html"

@@ -133,6 +133,7 @@ def test_a_turntable_may_be_a_film(project: Path, tmp_path: Path) -> None:
             r"missing\.jpg does not exist; give the path of a photograph or",
         ),
         (["reconstruct", "x.jpg", "--run", "toybox-cat", "--out", "out"], r"has no 'runs\.toybox-cat'.*toybox-car"),
+        (["runs"], r"metrics has no figures of a run; make them with `dvc repro`"),
         (["view"], r"index\.html does not exist; make it with `dvc repro report@toybox-car`"),
     ],
 )
@@ -171,6 +172,24 @@ def test_view_opens_the_page(project: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
     main(["--project", str(project), "view"])
     assert opened == [page.resolve().as_uri()]
+
+
+def test_runs_writes_and_opens_a_table_of_all_runs(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, has_page in (("horse", True), ("car", False)):
+        (project / "results/metrics").mkdir(parents=True, exist_ok=True)
+        (project / f"results/metrics/{name}.json").write_text('{"pose": {"acc": 0.5}}')
+        page = project / f"results/report/{name}/index.html"
+        page.parent.mkdir(parents=True)
+        if has_page:
+            page.touch()
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
+    main(["--project", str(project), "runs"])
+    page = project / "results/report/index.html"
+    assert opened == [page.resolve().as_uri()]
+    text = page.read_text()
+    assert '<td><a href="horse/index.html">horse</a></td>' in text
+    assert "<td>car</td>" in text
 
 
 def test_doctor_names_what_is_missing(project: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,0 +1,40 @@
+"""The table of all runs."""
+
+import re
+from pathlib import Path
+
+from pipeline.export.runs_page import COLUMNS, MeasuredRun, write_runs_page
+
+
+def figures(distance: float) -> dict:
+    return {"reconstruction": {"tuned": {"feature_distance": {"value": distance, "standard_error": 0.5, "n": 7}}}}
+
+
+def rows(text: str) -> dict[str, list[str]]:
+    """Return the cells of each row, by the text of the first one."""
+    body = text.partition("<tbody>")[2]
+    found = [re.findall(r"<td>(.*?)</td>", row) for row in re.findall(r"<tr.*?</tr>", body)]
+    return {re.sub("<.*?>", "", row[0]): row[1:] for row in found}
+
+
+def test_runs_stand_with_their_errors_and_seeds_with_their_mean(tmp_path: Path) -> None:
+    runs = [
+        MeasuredRun("car-seed1", None, figures(3)),
+        MeasuredRun("horse", "horse/index.html", figures(9)),
+        MeasuredRun("car", None, figures(1)),
+    ]
+    write_runs_page(tmp_path / "index.html", runs)
+    text = (tmp_path / "index.html").read_text()
+    table = rows(text)
+    assert list(table) == ["car", "car-seed1", "car, 2 seeds", "horse"]
+    column = 1 + list(COLUMNS).index("distance, fine-tuned")
+    assert table["car"][0] == "7"
+    assert table["car"][column] == "1.00 <small>± 0.50</small>"
+    assert table["car, 2 seeds"][column] == "2.00 <small>± 1.41</small>"
+    assert set(table["horse"][1:column]) == {"–"}
+    assert re.findall(r'<td><a href="(.*?)">', text) == ["horse/index.html"]
+
+
+def test_names_are_escaped(tmp_path: Path) -> None:
+    write_runs_page(tmp_path / "index.html", [MeasuredRun("a<b", "a<b/index.html", figures(1))])
+    assert '<a href="a&lt;b/index.html">a&lt;b</a>' in (tmp_path / "index.html").read_text()
