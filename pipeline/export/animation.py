@@ -1,6 +1,7 @@
 """Turntables: animations that every browser and viewer plays."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -31,7 +32,8 @@ def write_mp4(path: Path, frames: Float[Tensor, "K 3 H W"], milliseconds: int) -
         ) from None
     pixels = np.ascontiguousarray(_pixels(frames))
     with atomic_path(path) as temporary:
-        film = write_frames(str(temporary), pixels.shape[2:0:-1], fps=1000 / milliseconds, macro_block_size=2)
+        rate: Any = 1000 / milliseconds  # ffmpeg takes fractions, whatever the annotation says
+        film = write_frames(str(temporary), pixels.shape[2:0:-1], fps=rate, macro_block_size=2)
         film.send(None)
         for frame in pixels:
             film.send(frame)

@@ -1,5 +1,6 @@
 """Many runs at once from DVC's queue, and artifacts that travel through a remote."""
 
+import hashlib
 import shutil
 import time
 import urllib.request
@@ -68,16 +69,17 @@ def test_queued_runs_do_not_disturb_each_other(project: Path, experiments: dict[
     assert set(experiments) == set(SEEDS)
     assert run(project, "git", "status", "--porcelain") == ""
     assert not list(project.rglob("state.safetensors"))
-    models = [_at(project, name, "dvc.lock")["stages"][STAGE]["outs"][0] for name in experiments.values()]
-    assert len({model["md5"] for model in models}) == len(SEEDS)
+    md5 = {
+        seed: _at(project, name, "dvc.lock")["stages"][STAGE]["outs"][0]["md5"] for seed, name in experiments.items()
+    }
+    assert len(set(md5.values())) == len(SEEDS)
 
     command = commands(project)["train_features"]
     changed = {"--seed": "1", "--out": "model.safetensors", "--metrics": "metrics.json", "--curve": "curve.csv"}
     for option, value in (changed | {"--checkpoints": "checkpoints"}).items():
         command[command.index(option) + 1] = value if option == "--seed" else str(tmp_path / value)
     run(project, *command)
-    run(project, "dvc", "exp", "apply", experiments[1].rpartition("/")[2])
-    assert (project / MODEL).read_bytes() == (tmp_path / "model.safetensors").read_bytes()
+    assert hashlib.md5((tmp_path / "model.safetensors").read_bytes()).hexdigest() == md5[1]
 
 
 @pytest.fixture
