@@ -103,10 +103,11 @@ def _turn_on_dataset(document: CommentedMap, name: str, source: Path | None, siz
         entry = {"kind": _kind(source), "source": str(source)}
     kind = entry.get("kind") or datasets[name]["kind"]
     usual = document["prepare_data"][kind].get("size", size)
-    if name in datasets and datasets[name].get(kind, {}).get("size", usual) != size:
+    found = datasets[name].get(kind, {}).get("size", usual) if name in datasets else size
+    if found != size:
         raise ConfigError(
-            f"'{name}' is on with pictures of another size than the {size} px of this run; name a second "
-            "dataset with DATASET= and SOURCE="
+            f"pictures of '{name}' are {found} px, but this run compares {size} px; name a second dataset with "
+            "DATASET= and SOURCE="
         )
     _put(datasets, name, entry | ({kind: {"size": size}} if usual != size else {}))
 

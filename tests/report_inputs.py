@@ -59,6 +59,6 @@ def inputs(truth: bool) -> ReportInputs:
         camera=CAMERA,
         figures=figures,
         stage_figures={"remesh": {"area_variation": 0.1}},
-        curves={"base_shape": curve},
+        curves={"features": {"iteration": []}, "base_shape": curve},
         table=table,
     )

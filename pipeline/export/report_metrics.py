@@ -103,9 +103,14 @@ def shape_table(shape: Mapping[str, Any]) -> str:
 
 
 def curve_section(curves: Mapping[str, Mapping[str, list[str]]]) -> Section:
-    """Plot every column of every stage's curve over the iteration, one line for each seed where there are several."""
+    """Plot every column of every stage's curve over the iteration, one line for each seed where there are several.
+
+    A stage that trained nothing has a curve without rows and is left out.
+    """
     parts = []
     for stage, columns in curves.items():
+        if not columns["iteration"]:
+            continue
         names = [name for name in columns if name not in ("iteration", "seed")]
         charts = [line_chart(seed_lines(columns, name), "iteration", _words(name)) for name in names]
         parts.append(f"<h3>{escape(_words(stage))}</h3>{grid('charts', charts)}")

@@ -38,6 +38,13 @@ def test_a_longer_tree_takes_hardly_more_memory(
     assert peaks[1] - peaks[0] < 2000 * 150  # bytes a file: its name at most
 
 
+def test_what_is_not_wanted_is_left_out(tmp_path: Path) -> None:
+    sources = [write_folder(tmp_path / "folder", tree()), write_zip(tmp_path / "pictures.zip", tree())]
+    for source in (*sources, write_tar(tmp_path / "pictures.tar.gz", tree())):
+        wanted = [str(name) for name, _ in read_tree(source, lambda name: name.match("test/car/*.jpg"))]
+        assert sorted(wanted) == ["test/car/1.jpg", "test/car/2.jpg"]
+
+
 @pytest.mark.parametrize("ending", ["tar", "tar.gz", "tar.xz", "zip"])
 @pytest.mark.parametrize("share", [0.1, 0.5, 0.65])
 def test_a_truncated_archive_is_refused(tmp_path: Path, ending: str, share: float) -> None:

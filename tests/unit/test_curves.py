@@ -15,6 +15,11 @@ def test_rows_become_csv(tmp_path: Path) -> None:
     assert (tmp_path / "curve.csv").read_bytes() == b"iteration,loss,rate\n0,0.333333,0.0001\n10,123457000.0,0.5\n"
 
 
+def test_a_curve_of_no_training_is_a_table_without_rows(tmp_path: Path) -> None:
+    Curve().write(tmp_path / "curve.csv")
+    assert (tmp_path / "curve.csv").read_bytes() == b"iteration\n"
+
+
 def test_a_curve_goes_on_from_the_rows_of_another() -> None:
     curve = Curve()
     curve.append(0, loss=1.0)

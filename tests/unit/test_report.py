@@ -63,6 +63,8 @@ def test_page_is_whole_and_needs_nothing_beside_it(tmp_path: Path, truth: bool) 
     assert {address[1:] for address in outline.addresses if address.startswith("#")} == set(outline.anchors)
     assert "default-src 'none'" in text
     assert "://" not in re.sub("<script>.*?</script>", "", text, flags=re.DOTALL)
+    assert "<h3>base shape</h3>" in text
+    assert "<h3>features</h3>" not in text
     assert "<h1>Run toy&lt;car&gt;</h1>" in text
     assert ("poses within 30°" in text) == truth
 

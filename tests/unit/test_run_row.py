@@ -70,7 +70,7 @@ def test_a_given_network_gets_pictures_of_the_size_it_needs(params: Path, tmp_pa
     assert document["datasets"]["cars"] == {"kind": "folder", "source": str(tmp_path), "folder": {"size": 64}}
     assert document["features"]["cars-laptop-imagenet"]["weights"] == str(weights)
     for source in (tmp_path, None):
-        with pytest.raises(ConfigError, match="'cars' is on with pictures of another size than the 32 px of this run"):
+        with pytest.raises(ConfigError, match="pictures of 'cars' are 64 px, but this run compares 32 px"):
             turn_on(params, _options("pascal-car", dataset="cars", category="car", source=source))
     assert params.read_bytes() == before
 
