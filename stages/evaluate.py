@@ -8,6 +8,7 @@ from pipeline.config import load
 from pipeline.datasets.images import load_images
 from pipeline.evaluation.artifacts import load_photographs, load_reconstructions, load_true_split, select
 from pipeline.evaluation.evaluate import EvaluateConfig, Learned, evaluate_images, evaluate_truth
+from pipeline.evaluation.multiview import evaluate_views
 from pipeline.evaluation.tables import write_table
 from pipeline.files import load_tensors, write_json
 from pipeline.geometry.camera import pose_from_tensor
@@ -35,9 +36,11 @@ def main() -> None:
     reconstructions = load_reconstructions(arguments.reconstructions)
     photographs = load_photographs(arguments.test_images, reconstructions.test_index)
     features = load_feature_extractor(arguments.features, torch.device("cpu"))
-    figures, table = evaluate_images(
-        photographs, load_images(arguments.train_images), reconstructions, features, config
-    )
+    training_photographs = load_images(arguments.train_images)
+    figures, table = evaluate_images(photographs, training_photographs, reconstructions, features, config)
+    full_model = load_full_model(arguments.model, torch.device("cpu"))
+    views = evaluate_views(reconstructions, full_model, features, config.multiview, config.batch_size)
+    figures |= {"multiview": views}
     test = load_true_split(arguments.truth, "test", arguments.category)
     training = load_true_split(arguments.truth, "train", arguments.category)
     if test is not None and training is not None:
@@ -48,7 +51,7 @@ def main() -> None:
             pose_from_tensor(model["train_pose"][visited]),
             mesh["vertices"],
             mesh["faces"],
-            load_full_model(arguments.model, torch.device("cpu")).config.renderer,
+            full_model.config.renderer,
         )
         splits = select(training, visited), select(test, reconstructions.test_index)
         compared, columns = evaluate_truth(learned, *splits, config)

@@ -12,6 +12,7 @@ from torch import Tensor
 from pipeline.evaluation.alignment import fit_alignment, turn_pose, turn_vertices
 from pipeline.evaluation.artifacts import STAGES, Reconstruction, Reconstructions, TrueObjects, Truth
 from pipeline.evaluation.image_metrics import image_columns, image_figures
+from pipeline.evaluation.multiview import MultiviewConfig
 from pipeline.evaluation.pose_metrics import baseline_figures, pose_columns, pose_figures
 from pipeline.evaluation.retrieval import retrieve
 from pipeline.evaluation.shape import iou
@@ -34,12 +35,14 @@ class EvaluateConfig:
         shape: how finely shapes are compared.
         chance_draws: random guesses a picture for the chance rows.
         batch_size: pictures in one pass through the feature extractor.
+        multiview: how consistent objects are from all around.
     """
 
     seed: int
     shape: ShapeConfig
     chance_draws: int
     batch_size: int
+    multiview: MultiviewConfig
 
 
 class Learned(NamedTuple):

@@ -6,6 +6,7 @@ import torch
 from pipeline.evaluation.alignment import turn_pose, turn_vertices
 from pipeline.evaluation.artifacts import Reconstruction, Reconstructions, TrueObjects, Truth
 from pipeline.evaluation.evaluate import EvaluateConfig, Learned, evaluate_images, evaluate_truth
+from pipeline.evaluation.multiview import MultiviewConfig
 from pipeline.evaluation.shape_metrics import ShapeConfig, silhouettes
 from pipeline.geometry.camera import CameraConfig, Pose
 from pipeline.geometry.icosphere import icosphere
@@ -17,7 +18,11 @@ from pipeline.seeding import generator, initialised
 COUNT = 12
 RENDERER = RendererConfig(camera=CameraConfig(distance=2.7, field_of_view=30.0), size=16, supersampling=2)
 CONFIG = EvaluateConfig(
-    seed=0, shape=ShapeConfig(voxel_resolution=16, surface_points=400), chance_draws=36, batch_size=5
+    seed=0,
+    shape=ShapeConfig(voxel_resolution=16, surface_points=400),
+    chance_draws=36,
+    batch_size=5,
+    multiview=MultiviewConfig(objects=COUNT, step=50, elevation=10.0, ridge=0.1, examples=2),
 )
 FRAME = math.radians(90)
 

@@ -1,0 +1,110 @@
+"""Consistency of views: full marks for objects that turn as commanded, chance for views in any order."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from pipeline.errors import DataError
+from pipeline.evaluation.artifacts import Reconstruction, Reconstructions
+from pipeline.evaluation.multiview import (
+    MultiviewConfig,
+    azimuth_figures,
+    evaluate_views,
+    multiview_figures,
+    read_azimuths,
+    render_views,
+)
+from pipeline.networks.full_model import FullModel
+from pipeline.seeding import generator
+from tests.tiny_full_model import base_mesh, tiny_extractor, tiny_model
+
+COUNT = 24
+CONFIG = MultiviewConfig(objects=COUNT, step=50, elevation=10.0, ridge=0.1, examples=2)
+
+
+@pytest.fixture(scope="module")
+def views() -> Tensor:
+    """Show a bright spot that goes round the picture, on objects of different colours."""
+    turns = CONFIG.azimuths()
+    rows, columns = torch.meshgrid(torch.linspace(-1, 1, 32), torch.linspace(-1, 1, 32), indexing="ij")
+    distance = (columns - 0.6 * turns.sin()[:, None, None]) ** 2 + (rows - 0.6 * turns.cos()[:, None, None]) ** 2
+    spots = torch.exp(-8 * distance)[None, :, None]
+    colors = torch.rand(COUNT, 1, 3, 1, 1, generator=generator(0))
+    return (0.6 * colors + 0.4 * spots).clamp(0, 1)
+
+
+def test_objects_that_turn_as_commanded_get_full_marks(views: Tensor) -> None:
+    figures = multiview_figures(views, tiny_extractor(), CONFIG, 50)
+    assert figures["acc_pi6"] == 1
+    assert figures["error_degrees"]["value"] < 5
+    assert figures["identity_drift"]["value"] < 0.2
+    assert figures["n"] == figures["identity_drift"]["n"] == COUNT
+    assert figures["chance"]["identity_drift"]["value"] == pytest.approx(1, abs=0.1)
+    assert figures["chance"]["acc_pi6"] == pytest.approx(1 / 6)
+
+
+def test_views_in_any_order_are_read_no_better_than_chance(views: Tensor) -> None:
+    order = torch.rand(views.shape[:2], generator=generator(1)).argsort(dim=1)
+    figures = multiview_figures(views[torch.arange(COUNT)[:, None], order], tiny_extractor(), CONFIG, 50)
+    assert abs(figures["acc_pi6"] - 1 / 6) < 4 * figures["standard_error"]
+    assert figures["error_degrees"]["value"] == pytest.approx(90, abs=20)
+
+
+def test_objects_that_change_identity_drift(views: Tensor) -> None:
+    """The k-th view of an object is the k-th view of the k-th next object."""
+    count, turns = views.shape[:2]
+    other = (torch.arange(count)[:, None] + torch.arange(turns)) % count
+    figures = multiview_figures(views[other, torch.arange(turns)], tiny_extractor(), CONFIG, 50)
+    assert figures["identity_drift"]["value"] > 0.8
+    assert figures["acc_pi6"] == 1, "each picture still shows its azimuth"
+
+
+def test_halves_of_the_objects_read_each_other() -> None:
+    """A code that only the other half shares cannot be learned: nothing leaks from an object to itself."""
+    azimuths = CONFIG.azimuths().expand(COUNT, -1)
+    turns = torch.stack([azimuths.sin(), azimuths.cos()], dim=2)
+    hidden = torch.zeros(COUNT, azimuths.shape[1], 4)
+    hidden[0::2, :, :2], hidden[1::2, :, 2:] = turns[0::2], turns[1::2]
+    shared = azimuth_figures(azimuths, read_azimuths(turns, azimuths, 0.1))
+    assert shared["acc_pi6"] == 1
+    assert azimuth_figures(azimuths, read_azimuths(hidden, azimuths, 0.1))["acc_pi6"] < 0.5
+
+
+def test_errors_know_that_angles_close_the_circle() -> None:
+    azimuths = torch.tensor([[0.0, math.radians(350)]]).expand(2, 2)
+    read = torch.tensor([[math.radians(355), math.radians(-15)], [math.pi, math.radians(30)]])
+    figures = azimuth_figures(azimuths, read)
+    assert (figures["acc_pi6"], figures["n"]) == (0.5, 2)
+    assert figures["error_degrees"]["value"] == pytest.approx((5 + 5 + 180 + 40) / 4)
+
+
+def _reconstructions(model: FullModel) -> Reconstructions:
+    pose = model.poses(model.poses.draw(3, generator(0)), model.base_vertices.expand(3, -1, -1))
+    mesh, shades = base_mesh(), torch.linspace(0.2, 0.8, 3)[:, None, None, None]
+    one = Reconstruction(pose, mesh.vertices.expand(3, -1, -1), torch.zeros(3, 3, 32), torch.zeros(3, 3, 32, 32))
+    return Reconstructions(one, one, shades.expand(-1, 3, 8, 8), mesh.faces, mesh.directions, torch.arange(3))
+
+
+def _aspect(covered: Tensor) -> float:
+    return covered.any(0).sum().item() / covered.any(1).sum().item()
+
+
+@pytest.mark.parametrize("framing", ["free", "box"])
+def test_reconstructions_are_measured_from_all_around(framing: str) -> None:
+    model = tiny_model(framing=framing).eval()
+    found, config = _reconstructions(model), replace(CONFIG, objects=2)
+    views = render_views(found, model, config)
+    assert views.shape == (2, 8, 3, 32, 32)
+    end, side = ((view.amax(0) > 0) for view in (views[0, 0], views[0, 2]))
+    assert _aspect(side) > 1.3 * _aspect(end), "a long body is longer from its side (100 degrees) than from its end"
+    figures = evaluate_views(found, model, tiny_extractor(), config, 5)
+    assert figures["own_network"]["n"] == figures["n"] == 2
+    assert 0 <= figures["own_network"]["error_degrees"]["value"] <= 180
+
+
+def test_one_object_is_too_few(views: Tensor) -> None:
+    with pytest.raises(DataError, match="compares objects"):
+        multiview_figures(views[:1], tiny_extractor(), CONFIG, 50)
