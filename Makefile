@@ -13,8 +13,8 @@ export OMP_WAIT_POLICY := PASSIVE
 repro: $(STAMP)  ## run the pipeline: by default the toybox car, from pictures to a page
 	dvc repro
 
-run: $(STAMP)  ## turn a row of the paper on and run it: ROW= SIZE=laptop|paper SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY=
-	python -m stages.run_row $(foreach option,ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY,$(if $($(option)),--$(shell echo $(option) | tr A-Z a-z) "$($(option))"))
+run: $(STAMP)  ## turn a row of the paper on and run it: ROW= SIZE=laptop|paper SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASELINE=
+	python -m stages.run_row $(foreach option,ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASELINE,$(if $($(option)),--$(shell echo $(option) | tr A-Z a-z) "$($(option))"))
 
 test: $(STAMP)  ## the whole test suite
 	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 pytest
@@ -41,5 +41,5 @@ clean:  ## remove the environment and restart states; models and results stay
 
 $(STAMP): constraints.txt pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[pipeline,remote,video,development]"
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[pipeline,remote,video,baselines,development]"
 	touch $@

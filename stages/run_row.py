@@ -19,6 +19,7 @@ from pipeline.training.base_shape import BaseShapeConfig
 from stages.command_line import run
 
 PARAMS = Path("params.yaml")
+BASELINES = ("hologan", "colmap")
 OFFICIAL_CIFAR10 = "cifar-10-"
 
 
@@ -33,8 +34,13 @@ def main() -> None:
     parser.add_argument("--features", type=Path, help="weights of the network that compares pictures, if not on yet")
     parser.add_argument("--dataset", help="a name for photographs of your own; else the row's")
     parser.add_argument("--category", help="the category among them; else the row's")
-    name = turn_on(PARAMS, parser.parse_args())
-    sys.exit(subprocess.run(["dvc", "repro", f"report@{name}"], check=False).returncode)
+    parser.add_argument("--baseline", choices=BASELINES, help="measure this on the same photographs instead")
+    options = parser.parse_args()
+    name, stage = turn_on(PARAMS, options), "report"
+    if options.baseline:
+        stage = f"evaluate_{options.baseline}"
+        turn_on_baseline(PARAMS, options.baseline, name)
+    sys.exit(subprocess.run(["dvc", "repro", f"{stage}@{name}"], check=False).returncode)
 
 
 def turn_on(path: Path, options: Namespace) -> str:
@@ -73,6 +79,17 @@ def _name(subject: str, entry: dict[str, Any]) -> str:
     unusual = [subject] + [entry["size"]] * (entry["size"] != "laptop")
     unusual += [entry["ablation"]] * (entry["ablation"] != "none") + [f"seed{entry['seed']}"] * (entry["seed"] != 0)
     return "-".join(unusual)
+
+
+def turn_on_baseline(path: Path, baseline: str, run: str) -> None:
+    """Add the baseline beside a run that is on, with the settings of the run that it shares."""
+    yaml = _yaml()
+    document = yaml.load(path)
+    settings = ("size", "seed", "dataset", "category", "features")
+    document[baseline].fa.set_block_style()
+    _put(document[baseline], run, {name: document["runs"][run][name] for name in settings})
+    with atomic_path(path) as temporary:
+        yaml.dump(document, temporary)
 
 
 def _yaml() -> YAML:

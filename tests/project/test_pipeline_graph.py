@@ -13,8 +13,10 @@ from tests.project.import_closure import ROOT, code_dependencies, import_closure
 DOCUMENT = YAML(typ="safe").load(ROOT / "dvc.yaml")
 PARAMS = YAML(typ="safe").load(ROOT / "params.yaml")
 STAGES = stage_bodies(DOCUMENT)
-TRAINING = ["train_features", "learn_base_shape", "train_full", "fine_tune"]
-CHAIN = ["prepare_data", *TRAINING[:2], "evaluate_base_shape", "remesh", *TRAINING[2:], "evaluate", "report"]
+TRAINING = ["train_features", "learn_base_shape", "train_full", "fine_tune", "train_hologan"]
+BASELINES = ["train_hologan", "evaluate_hologan", "evaluate_colmap"]
+MIDDLE = ["evaluate_base_shape", "remesh"]
+CHAIN = ["prepare_data", *TRAINING[:2], *MIDDLE, *TRAINING[2:4], "evaluate", "report", *BASELINES]
 
 
 def _options(stage: str) -> dict[str, list[str]]:

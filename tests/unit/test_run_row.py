@@ -8,7 +8,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from pipeline.errors import ConfigError
-from stages.run_row import turn_on
+from stages.run_row import turn_on, turn_on_baseline
 from tests.pascal3d_tree import release
 from tests.picture_trees import tree, write_folder, write_tar
 
@@ -95,6 +95,17 @@ def test_a_base_shape_is_shared_where_the_ablation_leaves_it(params: Path, ablat
     assert document["runs"][name]["base_shape"] == base_shape
     assert document["runs"][name]["ablation"] == ablation
     assert document["base_shapes"][base_shape]["ablation"] == ("none" if ablation not in base_shape else ablation)
+
+
+@pytest.mark.parametrize("baseline", ["hologan", "colmap"])
+def test_a_baseline_shares_the_settings_of_its_run(params: Path, baseline: str) -> None:
+    name = turn_on(params, _options("toybox-car", seed=1))
+    turn_on_baseline(params, baseline, name)
+    document = YAML(typ="safe").load(params)
+    assert list(document[baseline]) == ["toybox-car-seed1"]
+    run, entry = document["runs"][name], document[baseline][name]
+    assert entry == {key: run[key] for key in ("size", "seed", "dataset", "category", "features")}
+    assert [document[other] for other in ("hologan", "colmap") if other != baseline] == [{}]
 
 
 def test_the_official_archive_is_known_by_its_name(params: Path, tmp_path: Path) -> None:

@@ -1,0 +1,118 @@
+"""Structure from motion on photographs of a category: COLMAP (Schoenberger & Frahm 2016), a baseline (paper 4.1)."""
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from jaxtyping import UInt8
+from torch import Tensor
+from torch.nn import functional
+
+from pipeline.errors import UserError
+from pipeline.evaluation.statistics import Figure, mean_figure
+
+PREFIX = re.compile(r"^([IWEF])\d{8} [\d:.]+ +\d+ (\S+\]) (.*)$")
+"""What COLMAP's log puts before a message: level, date, time, thread; then where in its source."""
+
+
+@dataclass(frozen=True)
+class ColmapConfig:
+    """How COLMAP is tried; everything else is its default.
+
+    Attributes:
+        seed: of its random sampling.
+        photographs: how many, from the start of the training split; all pairs of them are matched.
+        enlargement: factor on the photographs' size, bicubic; the paper names none.
+    """
+
+    seed: int
+    photographs: int
+    enlargement: int
+
+
+def run_colmap(images: UInt8[Tensor, "N 3 H W"], config: ColmapConfig, folder: Path) -> tuple[dict[str, Any], str]:
+    """Extract SIFT features, match all pairs and map incrementally, in an empty folder; return figures and the log.
+
+    `features` a photograph, `verified_pairs` the fraction of pairs whose matches agree on a geometry, `registered` the
+    fraction of photographs that found a place in the largest model, and what COLMAP `says`: warnings and errors.
+
+    pycolmap brings a compression library that breaks the PNG writers of Pillow and OpenCV in the same process: call
+    this in a process of its own. Raises UserError where pycolmap is not installed.
+    """
+    pycolmap = _import_pycolmap()
+    chosen = _enlarged(images[: config.photographs], config.enlargement)
+    pictures, models, database = folder / "pictures", folder / "models", folder / "database.db"
+    for path in (pictures, models):
+        path.mkdir()
+    for number, image in enumerate(chosen):
+        pycolmap.Bitmap.from_array(image.numpy()).write(pictures / f"{number:05d}.png")
+    extraction, matching = pycolmap.FeatureExtractionOptions(), pycolmap.FeatureMatchingOptions()
+    mapping = pycolmap.IncrementalPipelineOptions()
+    mapping.random_seed = config.seed
+    extraction.num_threads = matching.num_threads = mapping.num_threads = torch.get_num_threads()
+    one_each, device = pycolmap.CameraMode.PER_IMAGE, pycolmap.Device.cpu
+    pycolmap.set_random_seed(config.seed)
+    with _logging_to(folder / "log", pycolmap):
+        pycolmap.extract_features(
+            database, pictures, camera_mode=one_each, extraction_options=extraction, device=device
+        )
+        pycolmap.match_exhaustive(database, matching_options=matching, device=device)
+        found = pycolmap.incremental_mapping(database, pictures, models, options=mapping)
+    log = _read_log(folder)
+    registered = max((model.num_reg_images() for model in found.values()), default=0)
+    figures = _database_figures(pycolmap.Database.open(database))
+    figures["registered"] = mean_figure(torch.arange(len(chosen)) < registered)
+    return figures | {"says": _warnings(log)}, log
+
+
+def _import_pycolmap() -> Any:
+    try:
+        import pycolmap
+    except ImportError:
+        raise UserError("pycolmap is not installed; install it with `pip install kato3d[baselines]`") from None
+    return pycolmap
+
+
+def _enlarged(images: UInt8[Tensor, "N 3 H W"], factor: int) -> UInt8[Tensor, "N height width 3"]:
+    if factor > 1:
+        enlarged = functional.interpolate(images.float(), scale_factor=factor, mode="bicubic")
+        images = enlarged.round().clamp(0, 255).byte()
+    return images.permute(0, 2, 3, 1).contiguous()
+
+
+@contextmanager
+def _logging_to(path: Path, pycolmap: Any) -> Iterator[None]:
+    """Send COLMAP's log, of every level, to a file named `path` and a suffix, complete afterwards; fatal ones print."""
+    logging = pycolmap.logging
+    logging.alsologtostderr, logging.stderrthreshold = False, int(logging.Level.FATAL)
+    for level in (logging.Level.WARNING, logging.Level.ERROR, logging.Level.FATAL):
+        logging.set_log_destination(level, "")
+    logging.set_log_destination(logging.Level.INFO, str(path))
+    try:
+        yield
+    finally:
+        logging.set_log_destination(logging.Level.INFO, "")
+
+
+def _read_log(folder: Path) -> str:
+    """Read the log without dates and threads."""
+    lines = "".join(path.read_text() for path in sorted(folder.glob("log*"))).splitlines()
+    return "".join(PREFIX.sub(r"\1 \2 \3", line) + "\n" for line in lines)
+
+
+def _warnings(log: str) -> list[str]:
+    return [line.split("] ", 1)[1] for line in log.splitlines() if line.startswith(("W ", "E "))]
+
+
+def _database_figures(database: Any) -> dict[str, Figure]:
+    features = [database.num_keypoints_for_image(image.image_id) for image in database.read_all_images()]
+    _, agreeing = database.read_two_view_geometry_num_inliers()
+    pairs = len(features) * (len(features) - 1) // 2
+    return {
+        "features": mean_figure(torch.tensor(features).double()),
+        "verified_pairs": mean_figure(torch.arange(pairs) < sum(count > 0 for count in agreeing)),
+    }

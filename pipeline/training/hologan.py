@@ -1,0 +1,140 @@
+"""Training HoloGAN on a category's photographs: generator against discriminator (Nguyen-Phuoc et al. 2019)."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+from torch.nn import functional
+from torch.optim import Adam
+from tqdm import tqdm
+
+from pipeline.errors import DataError
+from pipeline.networks.hologan import HoloDiscriminator, HoloGANConfig, HoloGenerator
+from pipeline.seeding import generator, initialised
+from pipeline.training.checkpoint import Checkpoint, Part, pack, require_finite, unpack
+from pipeline.training.curves import Curve
+from pipeline.training.viewpoints import ViewpointConfig, sample_viewpoints
+
+
+@dataclass(frozen=True)
+class HoloGANTrainingConfig:
+    """Settings of HoloGAN's training.
+
+    Attributes:
+        learning_rate: of both networks; constant for half of the iterations, then falls linearly to zero.
+        generator_steps: steps of the generator for one of the discriminator.
+        identity: weight of the identity regularizer, the squared error of the noise read off generated pictures.
+        viewpoint: the distribution that objects are turned by.
+        curve_every: iterations between rows of the curve.
+        checkpoint_every: iterations between restart states.
+    """
+
+    iterations: int
+    batch_size: int
+    learning_rate: float
+    betas: tuple[float, float]
+    generator_steps: int
+    identity: float
+    network: HoloGANConfig
+    viewpoint: ViewpointConfig
+    curve_every: int
+    checkpoint_every: int
+
+
+class HoloGANTrainer:
+    """Hold everything that changes while HoloGAN is trained."""
+
+    def __init__(self, config: HoloGANTrainingConfig, images: UInt8[Tensor, "N 3 H W"], seed: int) -> None:
+        """Build both networks and their optimizers on the photographs' device."""
+        device = images.device
+        self.config, self.images = config, images
+        with initialised(seed, "hologan"):
+            self.generator = HoloGenerator(config.network).to(device)
+            self.discriminator = HoloDiscriminator(config.network).to(device)
+        self.generator_optimizer, self.discriminator_optimizer = (
+            Adam(network.parameters(), lr=config.learning_rate, betas=config.betas)
+            for network in (self.generator, self.discriminator)
+        )
+        self.rng = generator(seed, "hologan", device=device)
+        self.losses = torch.zeros(3, device=device)
+
+    def parts(self) -> dict[str, Part]:
+        """Name everything a restart state has to hold."""
+        return {
+            "generator": self.generator,
+            "discriminator": self.discriminator,
+            "generator_optimizer": self.generator_optimizer,
+            "discriminator_optimizer": self.discriminator_optimizer,
+            "rng": self.rng,
+            "losses": self.losses,
+        }
+
+    def step(self, iteration: int) -> None:
+        """Improve the discriminator once and the generator `generator_steps` times on the same noise and views."""
+        config = self.config
+        rate = config.learning_rate * min(1.0, 2 - 2 * iteration / config.iterations)
+        for group in self.generator_optimizer.param_groups + self.discriminator_optimizer.param_groups:
+            group["lr"] = rate
+        latent = self.generator.sample_latent(config.batch_size, self.rng)
+        pose = sample_viewpoints(config.viewpoint, config.batch_size, self.rng)
+        draw = (latent, pose.azimuth, pose.elevation)
+        with torch.no_grad():
+            generated = self.generator(*draw)
+        discrimination = self._improve_discriminator(generated, latent)
+        improvements = [self._improve_generator(*draw) for _ in range(config.generator_steps)]
+        self.losses += torch.stack([discrimination, *improvements[-1]]).detach()
+
+    def _improve_discriminator(
+        self, generated: Float[Tensor, "B 3 H W"], latent: Float[Tensor, "B K"]
+    ) -> Float[Tensor, ""]:
+        index = torch.randint(len(self.images), (len(latent),), generator=self.rng, device=self.rng.device)
+        real, _ = self.discriminator(self.images[index].float() / 127.5 - 1)
+        score, read = self.discriminator(generated)
+        loss = functional.softplus(-real).mean() + functional.softplus(score).mean()
+        total = loss + self.config.identity * functional.mse_loss(read, latent)
+        self.discriminator_optimizer.zero_grad(set_to_none=True)
+        total.backward()
+        self.discriminator_optimizer.step()
+        return loss
+
+    def _improve_generator(
+        self, latent: Float[Tensor, "B K"], azimuth: Float[Tensor, " B"], elevation: Float[Tensor, " B"]
+    ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
+        score, read = self.discriminator(self.generator(latent, azimuth, elevation))
+        loss, identity = functional.softplus(-score).mean(), functional.mse_loss(read, latent)
+        self.generator_optimizer.zero_grad(set_to_none=True)
+        (loss + self.config.identity * identity).backward()
+        self.generator_optimizer.step()
+        return loss, identity
+
+
+def train_hologan(
+    config: HoloGANTrainingConfig, images: UInt8[Tensor, "N 3 H W"], seed: int, checkpoint: Checkpoint
+) -> tuple[HoloGenerator, Curve]:
+    """Train HoloGAN, going on from the checkpoint where there is one; return the generator and mean losses.
+
+    A killed call that is repeated with the same checkpoint returns the same bytes (CPU). Raises TrainingDiverged, and
+    DataError where the photographs are not of the networks' size.
+    """
+    size = config.network.image_size
+    if images.shape[2:] != (size, size):
+        raise DataError(f"train_hologan.network.image_size is {size}; photographs are {images.shape[3]} pixels wide")
+    trainer, curve, first = HoloGANTrainer(config, images, seed), Curve(), 0
+    if (restored := checkpoint.load()) is not None:
+        tensors, values = restored
+        unpack(tensors, **trainer.parts())
+        curve, first = Curve(values["rows"]), values["iteration"]
+    steps = range(first, config.iterations)
+    for iteration in tqdm(steps, "HoloGAN", initial=first, total=config.iterations, disable=None):
+        trainer.step(iteration)
+        done = iteration + 1
+        if done % config.curve_every == 0:
+            require_finite(trainer.losses, iteration)
+            means = (trainer.losses / config.curve_every).tolist()
+            curve.append(done, **dict(zip(("discriminator", "generator", "identity"), means, strict=True)))
+            trainer.losses.zero_()
+        if done % config.checkpoint_every == 0:
+            require_finite(trainer.losses, iteration)
+            checkpoint.save(pack(**trainer.parts()), {"iteration": done, "rows": curve.rows})
+    return trainer.generator, curve

@@ -1,0 +1,28 @@
+"""Try structure from motion on the photographs of a run, a baseline: COLMAP (paper 4.1)."""
+
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from pipeline.config import load
+from pipeline.datasets.images import load_images
+from pipeline.evaluation.colmap import ColmapConfig, run_colmap
+from pipeline.evaluation.tables import format_figures
+from pipeline.files import atomic_path, write_json
+from stages.command_line import parse, run
+
+
+def main() -> None:
+    """Write the figures and COLMAP's log, and print what it says."""
+    arguments = parse(__doc__, images=Path, out=Path, log=Path)
+    config = load(arguments.params, ColmapConfig, arguments.sections)
+    with TemporaryDirectory() as folder:
+        figures, log = run_colmap(load_images(arguments.images), config, Path(folder))
+    with atomic_path(arguments.log) as temporary:
+        temporary.write_text(log, encoding="utf-8")
+    write_json(arguments.out, {"colmap": figures})
+    print(format_figures({"colmap": figures}))
+    print("\nCOLMAP says: " + "; ".join(figures["says"]))
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,30 @@
+"""Train the baseline HoloGAN on the photographs of a run (Nguyen-Phuoc et al. 2019)."""
+
+from pathlib import Path
+
+from pipeline.config import load, scalar
+from pipeline.datasets.images import load_images
+from pipeline.device import resolve_device
+from pipeline.files import write_json
+from pipeline.networks.hologan import save_hologan
+from pipeline.training.checkpoint import Checkpoint, restart_key
+from pipeline.training.hologan import HoloGANTrainingConfig, train_hologan
+from stages.command_line import parse, run
+
+
+def main() -> None:
+    """Train, then write the generator and the curve of its losses; the last row is the metrics."""
+    arguments = parse(__doc__, images=Path, seed=int, checkpoints=Path, out=Path, metrics=Path, curve=Path)
+    config = load(arguments.params, HoloGANTrainingConfig, arguments.sections)
+    device = resolve_device(scalar(arguments.params, "device"))
+    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, [arguments.images], arguments.seed))
+    images = load_images(arguments.images).to(device)
+    generator, curve = train_hologan(config, images, arguments.seed, checkpoint)
+    save_hologan(arguments.out, generator)
+    curve.write(arguments.curve)
+    write_json(arguments.metrics, curve.rows[-1])
+    checkpoint.clear()
+
+
+if __name__ == "__main__":
+    run(main)

@@ -1,0 +1,125 @@
+"""HoloGAN: the turn of its volume, its styles, its gradients, and a training that resumes."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from pipeline.errors import DataError, TrainingDiverged
+from pipeline.networks.hologan import (
+    AdaptiveNormalization,
+    HoloDiscriminator,
+    HoloGANConfig,
+    HoloGenerator,
+    draw_views,
+    load_hologan,
+    rotate_volume,
+    save_hologan,
+)
+from pipeline.seeding import generator, initialised
+from pipeline.training.checkpoint import Checkpoint
+from pipeline.training.hologan import HoloGANTrainer, HoloGANTrainingConfig, train_hologan
+from pipeline.training.viewpoints import AngleConfig, ViewpointConfig
+
+NETWORK = HoloGANConfig(latent_size=6, width=2, discriminator_width=4, image_size=32)
+TRAINING = HoloGANTrainingConfig(
+    iterations=6,
+    batch_size=3,
+    learning_rate=1e-3,
+    betas=(0.5, 0.999),
+    generator_steps=2,
+    identity=1.0,
+    network=NETWORK,
+    viewpoint=ViewpointConfig(AngleConfig(0.0, 360.0, 1.0), AngleConfig(0.0, 35.0, 1.0), mirrored=False),
+    curve_every=3,
+    checkpoint_every=2,
+)
+PHOTOGRAPHS = torch.randint(256, (5, 3, 32, 32), generator=generator(0), dtype=torch.uint8)
+
+
+def _generator() -> HoloGenerator:
+    with initialised(0):
+        return HoloGenerator(NETWORK)
+
+
+def _turned(volume: Tensor, azimuth: float, elevation: float = 0.0) -> Tensor:
+    return rotate_volume(volume, torch.tensor([azimuth]), torch.tensor([elevation]))
+
+
+@pytest.mark.parametrize("quarters", [0, 1, 2, 3])
+def test_quarter_turns_move_voxels(quarters: int) -> None:
+    """From +x (azimuth 90) the old +x is nearest to the viewer, in the last slice of depth."""
+    volume = torch.rand(1, 2, 8, 8, 8, generator=generator(1))
+    expected = np.rot90(volume.numpy(), -quarters, axes=(2, 4)).copy()
+    turned = _turned(volume, quarters * math.pi / 2)
+    torch.testing.assert_close(turned, torch.from_numpy(expected), atol=1e-5, rtol=0)
+
+
+def test_a_camera_overhead_sees_the_top() -> None:
+    volume = torch.zeros(1, 1, 4, 4, 4)
+    volume[:, :, :, 0] = 1
+    torch.testing.assert_close(_turned(volume, 0.0, math.pi / 2)[0, 0, -1], torch.ones(4, 4), atol=1e-5, rtol=0)
+
+
+def test_styles_set_mean_and_deviation() -> None:
+    with initialised(0):
+        style = AdaptiveNormalization(3, 4)
+    latent = torch.rand(2, 3, generator=generator(0))
+    styled = style(5 + 3 * torch.rand(2, 4, 6, 6, 6, generator=generator(1)), latent)
+    scale, shift = style.style(latent).chunk(2, dim=1)
+    torch.testing.assert_close(styled.mean((2, 3, 4)), shift, atol=1e-4, rtol=0)
+    torch.testing.assert_close(styled.std((2, 3, 4)), (1 + scale).abs(), atol=1e-2, rtol=0)
+
+
+@pytest.mark.parametrize("size", [32, 64])
+def test_gradients_reach_the_constant(size: int) -> None:
+    config = replace(NETWORK, image_size=size)
+    with initialised(0):
+        network, discriminator = HoloGenerator(config), HoloDiscriminator(config)
+    images = network(network.sample_latent(2, generator(0)), torch.zeros(2), torch.zeros(2))
+    assert images.shape == (2, 3, size, size)
+    score, latent = discriminator(images)
+    assert latent.shape == (2, NETWORK.latent_size)
+    score.sum().backward()
+    assert all(parameter.grad is not None and bool(parameter.grad.any()) for parameter in network.parameters())
+
+
+def test_views_of_a_saved_generator_are_its_own(tmp_path: Path) -> None:
+    network = _generator().eval()
+    save_hologan(tmp_path / "hologan.safetensors", network)
+    latent, azimuths = network.sample_latent(3, generator(0)), torch.tensor([0.0, 2 * math.pi, 1.0])
+    views = draw_views(load_hologan(tmp_path / "hologan.safetensors", torch.device("cpu")), latent, azimuths, 10.0)
+    torch.testing.assert_close(views, draw_views(network, latent, azimuths, 10.0))
+    torch.testing.assert_close(views[:, 0], views[:, 1], atol=1e-4, rtol=0)
+    assert not torch.allclose(views[:, 0], views[:, 2], atol=1e-4)
+
+
+def test_the_discriminator_learns_to_tell_dark_photographs() -> None:
+    trainer = HoloGANTrainer(replace(TRAINING, learning_rate=1e-2), PHOTOGRAPHS // 8, 0)
+    latent = trainer.generator.sample_latent(3, generator(0))
+    with torch.no_grad():
+        generated = trainer.generator(latent, torch.zeros(3), torch.zeros(3))
+    losses = [trainer._improve_discriminator(generated, latent).item() for _ in range(12)]
+    assert losses[-1] < 0.5 * losses[0]
+
+
+def test_a_resumed_training_ends_with_the_same_bits(tmp_path: Path) -> None:
+    whole, rows = train_hologan(TRAINING, PHOTOGRAPHS, 0, Checkpoint(tmp_path / "whole", "key"))
+    shortened = replace(TRAINING, checkpoint_every=4)  # the last restart state is that of iteration 4
+    train_hologan(shortened, PHOTOGRAPHS, 0, Checkpoint(tmp_path / "stopped", "key"))
+    resumed, again = train_hologan(shortened, PHOTOGRAPHS, 0, Checkpoint(tmp_path / "stopped", "key"))
+    assert rows.rows == again.rows
+    assert [row["iteration"] for row in rows.rows] == [3, 6]
+    for name, tensor in whole.state_dict().items():
+        assert torch.equal(tensor, resumed.state_dict()[name]), name
+
+
+def test_what_cannot_be_trained_is_said(tmp_path: Path) -> None:
+    with pytest.raises(DataError, match="image_size is 32; photographs are 16 pixels wide"):
+        train_hologan(TRAINING, PHOTOGRAPHS[..., ::2, ::2], 0, Checkpoint(tmp_path, "key"))
+    with pytest.raises(TrainingDiverged, match="at iteration"):
+        train_hologan(replace(TRAINING, learning_rate=1e30), PHOTOGRAPHS, 0, Checkpoint(tmp_path, "key"))
