@@ -12,19 +12,20 @@ import pytest
 from PIL import Image
 
 from pipeline.files import read_json
-from stages.run_row import turn_on
+from stages.run_row import turn_on, turn_on_baseline
 from tests.smoke.tiny_project import commands, environment, make_tiny_project, read_params, run, write_params
 
 pytestmark = pytest.mark.slow
 
-TRAINING = ["train_features", "learn_base_shape", "train_full", "fine_tune"]
+TRAINING = ["train_features", "learn_base_shape", "train_full", "fine_tune", "train_hologan"]
 
 
 @pytest.fixture(scope="module")
 def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Run `dvc repro` once, from nothing to the report."""
+    """Run `dvc repro` once, from nothing to the report, with a baseline beside it."""
     folder = tmp_path_factory.mktemp("project")
     make_tiny_project(folder)
+    turn_on_baseline(folder / "params.yaml", "hologan", "toybox-car")
     run(folder, "dvc", "repro")
     return folder
 
@@ -40,6 +41,9 @@ def _outputs(folder: Path, stage: str) -> list[Path]:
 def test_the_chain_ends_with_metrics_and_a_page(project: Path) -> None:
     metrics = json.loads((project / "results/metrics/toybox-car.json").read_text())
     assert {"acc_pi6", "n"} <= set(json.dumps(metrics).replace('"', " ").split())
+    baseline = read_json(project / "results/metrics/toybox-car-hologan.json")
+    assert metrics["multiview"].keys() - baseline["multiview"].keys() == {"own_network"}
+    assert (project / "results/figures/hologan/toybox-car.png").stat().st_size > 0
     page = (project / "results/report/toybox-car/index.html").read_text()
     assert "toybox-car" in page
     assert "default-src 'none'" in page

@@ -58,6 +58,13 @@ TINY: dict[str, Any] = {
         "shape": {"steps": 2},
     },
     "evaluate_base_shape": {"voxel_resolution": 8, "view": {"size": 32, "supersampling": 1}},
+    "train_hologan": {
+        "iterations": 20,
+        "batch_size": 2,
+        "network": {"latent_size": 4, "width": 2, "discriminator_width": 4},
+        "curve_every": 5,
+        "checkpoint_every": 1,
+    },
     "evaluate": {"shape": {"voxel_resolution": 8, "surface_points": 50}, "chance_draws": 10},
     "report": {"examples": 2, "stepped": 1, "frames": 2, "view": {"size": 32, "supersampling": 1}},
 }
