@@ -18,6 +18,8 @@ from pipeline.evaluation.statistics import Figure, mean_figure
 PREFIX = re.compile(r"^([IWEF])\d{8} [\d:.]+ +\d+ (\S+\]) (.*)$")
 """What COLMAP's log puts before a message: level, date, time, thread; then where in its source."""
 
+NO_PAIR = "No good initial image pair found"
+
 
 @dataclass(frozen=True)
 class ColmapConfig:
@@ -38,7 +40,7 @@ def run_colmap(images: UInt8[Tensor, "N 3 H W"], config: ColmapConfig, folder: P
     """Extract SIFT features, match all pairs and map incrementally, in an empty folder; return figures and the log.
 
     `features` a photograph, `verified_pairs` the fraction of pairs whose matches agree on a geometry, `registered` the
-    fraction of photographs that found a place in the largest model, and what COLMAP `says`: warnings and errors.
+    fraction of photographs that found a place in the largest model, and what COLMAP `says`: its warnings and errors.
 
     pycolmap brings a compression library that breaks the PNG writers of Pillow and OpenCV in the same process: call
     this in a process of its own. Raises UserError where pycolmap is not installed.
@@ -66,7 +68,7 @@ def run_colmap(images: UInt8[Tensor, "N 3 H W"], config: ColmapConfig, folder: P
     registered = max((model.num_reg_images() for model in found.values()), default=0)
     figures = _database_figures(pycolmap.Database.open(database))
     figures["registered"] = mean_figure(torch.arange(len(chosen)) < registered)
-    return figures | {"says": _warnings(log)}, log
+    return figures | {"says": _verdict(log)}, log
 
 
 def _import_pycolmap() -> Any:
@@ -104,8 +106,10 @@ def _read_log(folder: Path) -> str:
     return "".join(PREFIX.sub(r"\1 \2 \3", line) + "\n" for line in lines)
 
 
-def _warnings(log: str) -> list[str]:
-    return [line.split("] ", 1)[1] for line in log.splitlines() if line.startswith(("W ", "E "))]
+def _verdict(log: str) -> list[str]:
+    """Choose warnings, errors and the missing initial pair, which COLMAP reports as information; each once."""
+    lines = (line.split("] ", 1) for line in log.splitlines() if line.startswith(("W ", "E ")) or NO_PAIR in line)
+    return list(dict.fromkeys(message.removeprefix("=> ") for _, message in lines))
 
 
 def _database_figures(database: Any) -> dict[str, Figure]:
