@@ -23,3 +23,7 @@ class MeshError(UserError):
 
 class TrainingDiverged(UserError):
     """Report a loss that is no longer finite; the last checkpoint before it is kept."""
+
+
+class DeviceError(UserError):
+    """Report a machine that cannot do what it was asked to: a GPU without the compiler of its kernels."""

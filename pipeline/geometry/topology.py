@@ -5,6 +5,7 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.utils.weak import WeakTensorKeyDictionary
 
 from pipeline.errors import MeshError
 
@@ -23,11 +24,21 @@ class Topology(NamedTuple):
     degrees: Int[Tensor, " V"]
 
 
+_derived = WeakTensorKeyDictionary()
+
+
 def topology_of(faces: Int[Tensor, "F 3"]) -> Topology:
     """Derive the connectivity of a mesh; every index below the largest in `faces` is taken as a vertex.
 
-    Raise MeshError unless every edge joins exactly two faces that traverse it in opposite directions.
+    It is kept for as long as the tensor lives, because deriving it makes the host wait for a GPU: do not change faces
+    in place. Raise MeshError unless every edge joins exactly two faces that traverse it in opposite directions.
     """
+    if faces not in _derived:
+        _derived[faces] = _derive(faces)
+    return _derived[faces]
+
+
+def _derive(faces: Int[Tensor, "F 3"]) -> Topology:
     vertex_count = int(faces.max()) + 1
     start, end, opposite = faces.flatten(), faces.roll(-1, dims=1).flatten(), faces.roll(-2, dims=1).flatten()
     key = torch.minimum(start, end) * vertex_count + torch.maximum(start, end)

@@ -54,6 +54,10 @@ def antialias(
     outer pixel shows something farther away. Gradients flow to the colors and, through where the edges are, to the
     vertices. Raise MeshError if the mesh is not closed.
     """
+    if colors.is_cuda:
+        from pipeline.rendering import antialias_triton
+
+        return antialias_triton.antialias(colors, *fragments, vertices_ndc, faces)
     size = colors.shape[-1]
     crossings = _find_crossings(_silhouette_edges(vertices_ndc, faces, size), size)
     depth_inside, depth_outside = (

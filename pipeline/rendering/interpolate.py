@@ -37,16 +37,7 @@ def interpolate(
     Gradients flow to the attributes and, through the barycentric coordinates, to the vertices.
     """
     if attributes.is_cuda:
-        return interpolate_in_torch(attributes, faces, fragments)
+        from pipeline.rendering import interpolate_triton
+
+        return interpolate_triton.interpolate(attributes, faces, *fragments)
     return _CompiledInterpolate.apply(attributes, faces, *fragments)
-
-
-def interpolate_in_torch(
-    attributes: Float[Tensor, "B V C"], faces: Int[Tensor, "F 3"], fragments: Fragments
-) -> Float[Tensor, "B H W C"]:
-    """Interpolate in tensor operations on any device."""
-    picture, row, column = (fragments.face_index >= 0).nonzero(as_tuple=True)
-    corners = attributes[picture[:, None], faces[fragments.face_index[picture, row, column]]]
-    values = (fragments.barycentric[picture, row, column][..., None] * corners).sum(dim=1)
-    background = attributes.new_zeros(*fragments.face_index.shape, attributes.shape[-1])
-    return background.index_put((picture, row, column), values)

@@ -6,8 +6,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from pipeline.rendering import rasterize_torch
-
 
 class Fragments(NamedTuple):
     """Say what each pixel's centre sees."""
@@ -47,6 +45,7 @@ def rasterize(vertices_ndc: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], s
     Gradients flow from the barycentric coordinates to the vertices.
     """
     if vertices_ndc.is_cuda:
-        face_index = rasterize_torch.nearest_faces(vertices_ndc, faces, size)
-        return Fragments(face_index, rasterize_torch.barycentric_coordinates(vertices_ndc, faces, face_index))
+        from pipeline.rendering import rasterize_triton
+
+        return Fragments(*rasterize_triton.rasterize(vertices_ndc, faces, size))
     return Fragments(*_CompiledRasterize.apply(vertices_ndc, faces.contiguous(), size))

@@ -36,7 +36,8 @@ def draw_face(
     first_row, last_row = max(np.ceil(min(y)), 0.0), min(np.floor(max(y)), last)
     first_column, last_column = max(np.ceil(min(x)), 0.0), min(np.floor(max(x)), last)
     area = (x[1] - x[0]) * (y[2] - y[0]) - (y[1] - y[0]) * (x[2] - x[0])
-    if first_row > last_row or first_column > last_column or area == 0.0 or min(nearness) == 0.0:
+    # Compared in this way, a corner that is not a number leaves its face out.
+    if first_row > last_row or first_column > last_column or not abs(area) > 0.0 or min(nearness) == 0.0:
         return
     turn = 1.0 if area > 0.0 else -1.0
     near0, near1, near2 = nearness[0] / abs(area), nearness[1] / abs(area), nearness[2] / abs(area)

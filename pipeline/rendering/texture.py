@@ -1,6 +1,5 @@
 """Textures on the sphere of directions, stored as equirectangular maps."""
 
-from math import pi
 from typing import Any
 
 import torch
@@ -36,19 +35,7 @@ def sample_sphere_texture(
     `interpolate` gives the background, is black. Gradients flow to the maps and to the directions.
     """
     if texture_maps.is_cuda:
-        return sample_in_torch(texture_maps, directions)
+        from pipeline.rendering import texture_triton
+
+        return texture_triton.sample_sphere_texture(texture_maps, directions)
     return _CompiledSample.apply(texture_maps, directions)
-
-
-def sample_in_torch(
-    texture_maps: Float[Tensor, "B 3 T T"], directions: Float[Tensor, "B H W 3"]
-) -> Float[Tensor, "B 3 H W"]:
-    """Look up textures in tensor operations on any device."""
-    size = texture_maps.shape[-1]
-    x, y, z = directions.unbind(-1)
-    around = torch.atan2(x, z) / pi
-    upward = torch.atan2(y, (x * x + z * z + 1e-12).sqrt()) * 2 / pi
-    wrapped = torch.cat((texture_maps[..., -1:], texture_maps, texture_maps[..., :1]), dim=-1)
-    grid = torch.stack((around * size / (size + 2), -upward), dim=-1)
-    colors = torch.nn.functional.grid_sample(wrapped, grid, padding_mode="border", align_corners=False)
-    return colors * directions.any(dim=-1)[:, None]

@@ -12,8 +12,8 @@ from pipeline.export.obj import write_obj
 from pipeline.export.seam import UnwrappedMesh, unwrap
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.topology import polygon_areas
-from pipeline.rendering.texture import sample_in_torch
 from tests.deformed_spheres import deformed_sphere
+from tests.rendering_in_torch import sample_sphere_texture
 
 SIZE = 32
 
@@ -50,7 +50,7 @@ def test_flat_look_up_agrees_with_the_sphere(place: Callable[[Tensor], Tensor]) 
         points = (mesh.vertices[mesh.faces] * weights[:, None]).sum(dim=1)
         uv = (mesh.uv[mesh.faces] * weights[:, None]).sum(dim=1)
         chosen = points[:, 1].abs() < 0.8
-        expected = sample_in_torch(smooth[None], points[None, None, chosen])[0, :, 0].T
+        expected = sample_sphere_texture(smooth[None], points[None, None, chosen])[0, :, 0].T
         torch.testing.assert_close(colors_by_uv(smooth, uv[chosen]), expected, atol=0.02, rtol=0)
 
 

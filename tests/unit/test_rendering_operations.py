@@ -10,12 +10,12 @@ import torch
 from torch import Tensor
 
 from pipeline.geometry.camera import project
-from pipeline.rendering import rasterize_torch
-from pipeline.rendering.interpolate import interpolate, interpolate_in_torch
+from pipeline.rendering.interpolate import interpolate
 from pipeline.rendering.lighting import Light, shade, vertex_normals
 from pipeline.rendering.ragged import expand
 from pipeline.rendering.rasterize import Fragments, rasterize
-from pipeline.rendering.texture import sample_in_torch, sample_sphere_texture
+from pipeline.rendering.texture import sample_sphere_texture
+from tests import rendering_in_torch
 from tests.scenes import CONFIG, Scene
 
 
@@ -53,6 +53,12 @@ def test_nearer_face_hides_the_other_in_either_order() -> None:
     assert rasterize(vertices, faces.flip(0), 8).face_index.unique().tolist() == [-1, 0]
 
 
+def test_vertices_that_are_not_numbers_draw_nothing() -> None:
+    vertices = torch.tensor([[[-1.0, -1.0, 2.0], [1.0, -1.0, 2.0], [-1.0, 1.0, 2.0]]]).repeat(3, 1, 1)
+    vertices[torch.arange(3), torch.arange(3), torch.tensor([0, 1, 0])] = torch.nan
+    assert (rasterize(vertices, torch.tensor([[0, 1, 2]]), 4).face_index == -1).all()
+
+
 def test_barycentric_coordinates_are_perspective_correct() -> None:
     # Halfway in the picture between depths 1 and 3, the point on the face lies at depth 1.5: a quarter of the way.
     vertices = torch.tensor([[[-1.0, 0.0, 1.0], [1.0, 0.01, 3.0], [1.0, -0.01, 3.0]]])
@@ -63,18 +69,10 @@ def test_barycentric_coordinates_are_perspective_correct() -> None:
 @pytest.mark.parametrize("size", [1, 32, 65, 512])
 def test_rasterizers_agree(scene: Scene, vertices_ndc: Tensor, size: int) -> None:
     compiled = rasterize(vertices_ndc, scene.mesh.faces, size)
-    face_index = rasterize_torch.nearest_faces(vertices_ndc, scene.mesh.faces, size)
+    face_index = rendering_in_torch.nearest_faces(vertices_ndc, scene.mesh.faces, size)
     assert torch.equal(compiled.face_index, face_index)
-    barycentric = rasterize_torch.barycentric_coordinates(vertices_ndc.double(), scene.mesh.faces, face_index)
+    barycentric = rendering_in_torch.barycentric_coordinates(vertices_ndc.double(), scene.mesh.faces, face_index)
     torch.testing.assert_close(compiled.barycentric.double(), barycentric, atol=1e-6, rtol=0)
-
-
-def test_torch_rasterizer_agrees_in_many_small_steps(
-    scene: Scene, vertices_ndc: Tensor, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(rasterize_torch, "CANDIDATES_AT_ONCE", 100)
-    expected = rasterize(vertices_ndc, scene.mesh.faces, 32).face_index
-    assert torch.equal(rasterize_torch.nearest_faces(vertices_ndc, scene.mesh.faces, 32), expected)
 
 
 def test_gradients_of_barycentric_coordinates(scene: Scene, vertices_ndc: Tensor) -> None:
@@ -85,7 +83,7 @@ def test_gradients_of_barycentric_coordinates(scene: Scene, vertices_ndc: Tensor
         return rasterize(vertices, faces, 24).barycentric
 
     def in_torch(vertices: Tensor) -> Tensor:
-        return rasterize_torch.barycentric_coordinates(vertices, faces, face_index)
+        return rendering_in_torch.barycentric_coordinates(vertices, faces, face_index)
 
     expected = gradients(in_torch, vertices_ndc.double())
     torch.testing.assert_close(gradients(compiled, vertices_ndc), expected, atol=1e-4, rtol=1e-4)
@@ -100,7 +98,7 @@ def test_interpolations_agree(scene: Scene, vertices_ndc: Tensor) -> None:
         return lambda attributes, barycentric: function(attributes, faces, Fragments(face_index, barycentric))
 
     compiled = gradients(apply(interpolate), attributes, barycentric)
-    in_torch = gradients(apply(interpolate_in_torch), attributes.double(), barycentric.double())
+    in_torch = gradients(apply(rendering_in_torch.interpolate), attributes.double(), barycentric.double())
     covered = face_index >= 0
     torch.testing.assert_close(compiled[:2], in_torch[:2])
     torch.testing.assert_close(compiled[2][covered], in_torch[2][covered])
@@ -110,7 +108,7 @@ def test_texture_lookups_agree(scene: Scene) -> None:
     directions = torch.randn(3, 16, 16, 3, generator=torch.Generator().manual_seed(3))
     directions[:, :2] = 0
     compiled = gradients(sample_sphere_texture, scene.texture_maps, directions)
-    in_torch = gradients(sample_in_torch, scene.texture_maps.double(), directions.double())
+    in_torch = gradients(rendering_in_torch.sample_sphere_texture, scene.texture_maps.double(), directions.double())
     torch.testing.assert_close(compiled, in_torch, atol=1e-5, rtol=1e-4)
 
 
@@ -160,6 +158,7 @@ def test_expand_numbers_the_members_of_lists() -> None:
     assert position.tolist() == [0, 1, 0, 1, 2]
 
 
-def test_numba_is_not_imported_before_the_first_picture_on_a_cpu() -> None:
-    code = "import sys, pipeline.rendering.renderer; sys.exit('numba' in sys.modules)"
+@pytest.mark.parametrize("compiler", ["numba", "triton"])
+def test_compilers_are_not_imported_before_the_first_picture(compiler: str) -> None:
+    code = f"import sys, pipeline.training.full; sys.exit('{compiler}' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).parents[2], check=False).returncode == 0

@@ -1,0 +1,88 @@
+"""Where Triton's kernels run in tests, and how; run as a program, compile them all for a GPU and print their names."""
+
+import inspect
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+import torch
+import triton
+from triton.backends.compiler import GPUTarget
+from triton.compiler import ASTSource
+
+from pipeline.rendering import (
+    antialias_triton,
+    crossings_triton,
+    interpolate_triton,
+    rasterize_triton,
+    renderer,
+    texture_triton,
+)
+from pipeline.rendering.rasterize import Fragments
+
+DEVICE = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+MODULES = (rasterize_triton, interpolate_triton, texture_triton, crossings_triton, antialias_triton)
+LARGE = {"FACES": 512, "BOX_SAMPLES": 64, "SAMPLES": 4096, "EDGES": 512, "PIXELS": 4096}
+INTEGERS = ("faces", "edges", "edge_faces", "face_index", "nearest", "crossings")
+CONSTANTS = {
+    "size": 128,
+    "nearest_depth": 1e-3,
+    "first_pass": True,
+    "box_block": 32,
+    "block": 64,
+    "channels": 4,
+    "attributes_learn": True,
+    "pi": 3.14159,
+}
+
+
+def enlarge_programs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Use few, large programs in the interpreter, which takes its time for each."""
+    for module in MODULES if DEVICE.type == "cpu" else ():
+        for name in LARGE.keys() & vars(module).keys():
+            monkeypatch.setattr(module, name, LARGE[name])
+
+
+def draw_with_triton(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the renderer use the kernels for GPUs on every device."""
+    replacements = {
+        "rasterize": lambda *inputs: Fragments(*rasterize_triton.rasterize(*inputs)),
+        "interpolate": lambda attributes, faces, fragments: interpolate_triton.interpolate(
+            attributes, faces, *fragments
+        ),
+        "sample_sphere_texture": texture_triton.sample_sphere_texture,
+        "antialias": lambda colors, fragments, *mesh: antialias_triton.antialias(colors, *fragments, *mesh),
+    }
+    for name, function in replacements.items():
+        monkeypatch.setattr(renderer, name, function)
+
+
+def kernels() -> Iterator[Any]:
+    """Go over the functions that programs on a GPU start with: their last parameter is the size of a block."""
+    for module in MODULES:
+        for value in vars(module).values():
+            starts = isinstance(value, triton.JITFunction) and value.arg_names[-1] == "block"
+            if starts and inspect.getmodule(value.fn) is module:
+                yield value
+
+
+def kind_of(name: str) -> str:
+    """Return Triton's name for the type of a parameter."""
+    if name in CONSTANTS:
+        return "constexpr"
+    return "i32" if name.endswith("_count") else "*i64" if name in INTEGERS else "*fp32"
+
+
+def compile_for_gpu(kernel: Any) -> None:
+    """Compile for a Hopper GPU, without fused multiply-adds: the faces at edges depend on it."""
+    signature = {name: kind_of(name) for name in kernel.arg_names}
+    constants = {(place,): CONSTANTS[name] for place, name in enumerate(kernel.arg_names) if name in CONSTANTS}
+    source, target = ASTSource(kernel, signature, constants), GPUTarget("cuda", 90, 32)
+    compiled = triton.compile(source, target=target, options={"enable_fp_fusion": False})
+    assert "fma" not in compiled.asm["ptx"]
+
+
+if __name__ == "__main__":
+    for kernel in kernels():
+        compile_for_gpu(kernel)
+        print(kernel.__name__)  # noqa: T201

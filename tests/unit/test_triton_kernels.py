@@ -1,0 +1,202 @@
+"""The kernels for CUDA devices do what the CPU's do: on a GPU where there is one, else in Triton's interpreter."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+
+from pipeline.geometry.camera import project
+from pipeline.rendering import (
+    antialias_triton,
+    crossings_triton,
+    interpolate_triton,
+    rasterize_triton,
+    renderer,
+    texture_triton,
+)
+from pipeline.rendering.antialias import antialias
+from pipeline.rendering.interpolate import interpolate
+from pipeline.rendering.rasterize import Fragments, rasterize
+from pipeline.rendering.texture import sample_sphere_texture
+from tests.project.import_closure import ROOT
+from tests.scenes import CONFIG, Scene
+from tests.triton_kernels import DEVICE, draw_with_triton, enlarge_programs
+
+KERNELS = {
+    rasterize_triton: ["_draw", "_weigh_corners", "_weigh_corners_backward"],
+    interpolate_triton: ["_interpolate", "_interpolate_backward"],
+    texture_triton: ["_sample", "_sample_backward"],
+    crossings_triton: ["_find_crossings"],
+    antialias_triton: ["_blend", "_blend_backward", "_move_edges"],
+}
+
+
+@pytest.fixture(autouse=True)
+def large_programs(monkeypatch: pytest.MonkeyPatch) -> None:
+    enlarge_programs(monkeypatch)
+
+
+def on_device(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+    """Let a function take and return CPU tensors but work on the device."""
+    return lambda *inputs: function(*(value.to(DEVICE) for value in inputs)).cpu()
+
+
+def gradients(function: Callable[..., Tensor], *inputs: Tensor) -> list[Tensor]:
+    """Return a function's value and the gradients of its sum under fixed random weights."""
+    leaves = [value.detach().clone().requires_grad_() for value in inputs]
+    value = function(*leaves)
+    weights = torch.randn(value.shape, generator=torch.Generator().manual_seed(9))
+    return [value.detach(), *torch.autograd.grad((weights * value).sum(), leaves)]
+
+
+def assert_close(actual: list[Tensor], expected: list[Tensor], tolerance: float) -> None:
+    """Compare up to a part of the largest value."""
+    for one, other in zip(actual, expected, strict=True):
+        torch.testing.assert_close(one, other, atol=tolerance * float(other.abs().max()), rtol=0)
+
+
+def tangled(scene: Scene) -> Tensor:
+    """Return projected vertices of rough meshes, with a corner behind the camera and faces without area."""
+    faces = scene.mesh.faces
+    noise = 0.1 * torch.randn(scene.mesh.vertices.shape, generator=torch.Generator().manual_seed(0))
+    vertices = scene.mesh.vertices + noise
+    vertices[:, faces[::9, 0]] = vertices[:, faces[::9, 1]]
+    vertices_ndc = project(vertices, scene.pose, CONFIG.camera)
+    vertices_ndc[:, 0, 2] = -1
+    return vertices_ndc
+
+
+def draw(vertices_ndc: Tensor, faces: Tensor, size: int) -> Fragments:
+    face_index, barycentric = rasterize_triton.rasterize(vertices_ndc.to(DEVICE), faces.to(DEVICE), size)
+    return Fragments(face_index.cpu(), barycentric.cpu())
+
+
+@pytest.mark.parametrize("size", [1, 17, 48])
+def test_faces_are_those_of_the_cpu(size: int) -> None:
+    scene = Scene(2, 2, seed=size)
+    scene.pose = scene.pose._replace(center=torch.tensor([[0.5, -0.4], [0.0, 0.0]]))
+    for vertices_ndc in (project(scene.mesh.vertices, scene.pose, CONFIG.camera), tangled(scene)):
+        actual, expected = (function(vertices_ndc, scene.mesh.faces, size) for function in (draw, rasterize))
+        assert torch.equal(actual.face_index, expected.face_index)
+        torch.testing.assert_close(actual.barycentric, expected.barycentric, atol=1e-5, rtol=0)
+
+
+def test_of_faces_in_one_place_the_first_is_seen() -> None:
+    corners = torch.tensor([[[-0.9, -0.9, 2.0], [0.9, -0.9, 2.0], [0.0, 0.9, 2.5]]])
+    faces = torch.tensor([[0, 1, 2], [0, 1, 2], [0, 1, 2]])
+    assert draw(corners, faces, 9).face_index.unique().tolist() == [-1, 0]
+
+
+def test_size_of_programs_does_not_matter(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(1, 0, seed=3)
+    vertices_ndc = project(scene.mesh.vertices, scene.pose, CONFIG.camera)
+    expected = draw(vertices_ndc, scene.mesh.faces, 12)
+    for module, name, value in ((rasterize_triton, "FACES", 8), (rasterize_triton, "BOX_SAMPLES", 4)):
+        monkeypatch.setattr(module, name, value)
+    monkeypatch.setattr(rasterize_triton, "SAMPLES", 32)
+    actual = draw(vertices_ndc, scene.mesh.faces, 12)
+    assert torch.equal(actual.face_index, expected.face_index)
+    assert torch.equal(actual.barycentric, expected.barycentric)
+
+
+def test_vertices_that_are_not_numbers_draw_nothing() -> None:
+    vertices = torch.tensor([[[-1.0, -1.0, 2.0], [1.0, -1.0, 2.0], [-1.0, 1.0, 2.0]]]).repeat(3, 1, 1)
+    vertices[torch.arange(3), torch.arange(3), torch.tensor([0, 1, 0])] = torch.nan
+    assert (draw(vertices, torch.tensor([[0, 1, 2]]), 4).face_index == -1).all()
+
+
+def test_gradients_of_barycentric_coordinates() -> None:
+    scene = Scene(2, 2, seed=5)
+    vertices_ndc, faces = project(scene.mesh.vertices, scene.pose, CONFIG.camera), scene.mesh.faces
+    actual = gradients(lambda vertices: draw(vertices, faces, 24).barycentric, vertices_ndc)
+    expected = gradients(lambda vertices: rasterize(vertices, faces, 24).barycentric, vertices_ndc)
+    assert_close(actual, expected, 1e-5)
+
+
+def test_interpolations_agree() -> None:
+    scene = Scene(2, 2, seed=6)
+    faces = scene.mesh.faces
+    face_index, barycentric = rasterize(project(scene.mesh.vertices, scene.pose, CONFIG.camera), faces, 24)
+    attributes = torch.randn(2, len(scene.mesh.directions), 5, generator=torch.Generator().manual_seed(0))
+
+    def with_triton(attributes: Tensor, barycentric: Tensor) -> Tensor:
+        return interpolate_triton.interpolate(attributes, faces.to(DEVICE), face_index.to(DEVICE), barycentric)
+
+    def on_cpu(attributes: Tensor, barycentric: Tensor) -> Tensor:
+        return interpolate(attributes, faces, Fragments(face_index, barycentric))
+
+    actual, expected = (gradients(f, attributes, barycentric) for f in (on_device(with_triton), on_cpu))
+    assert_close(actual, expected, 1e-5)
+    assert torch.autograd.grad(with_triton(attributes, barycentric.requires_grad_()).sum(), barycentric)
+
+
+def test_texture_lookups_agree() -> None:
+    directions = torch.randn(2, 16, 16, 3, generator=torch.Generator().manual_seed(3))
+    directions[:, :2] = 0
+    directions[0, 3, 3] = torch.tensor([0.0, 1.0, 0.0])
+    maps = Scene(2, 0, seed=1).texture_maps
+    actual = gradients(on_device(texture_triton.sample_sphere_texture), maps, directions)
+    assert_close(actual, gradients(sample_sphere_texture, maps, directions), 1e-4)
+
+
+@pytest.mark.parametrize("size", [8, 32])
+def test_antialiasing_agrees(size: int) -> None:
+    scene = Scene(2, 2, seed=size)
+    faces, vertices_ndc = scene.mesh.faces, tangled(scene)
+    fragments = rasterize(vertices_ndc, faces, size)
+    colors = torch.rand(2, 4, size, size, generator=torch.Generator().manual_seed(0)) * (fragments[0] >= 0)[:, None]
+
+    def with_triton(colors: Tensor, vertices: Tensor) -> Tensor:
+        face_index, barycentric = (value.to(DEVICE) for value in fragments)
+        return antialias_triton.antialias(colors, face_index, barycentric, vertices, faces.to(DEVICE))
+
+    actual = gradients(on_device(with_triton), colors, vertices_ndc)
+    expected = gradients(lambda colors, vertices: antialias(colors, fragments, vertices, faces), colors, vertices_ndc)
+    assert (expected[0] - colors).abs().max() > 0.1
+    assert_close(actual, expected, 1e-5)
+
+
+def test_pictures_and_their_gradients_are_those_of_the_cpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(2, 2, seed=4)
+
+    def image(vertices: Tensor, textures: Tensor, center: Tensor, backgrounds: Tensor, light: Tensor) -> Tensor:
+        to = vertices.device
+        mesh = renderer.Mesh(vertices, scene.mesh.faces.to(to), scene.mesh.directions.to(to))
+        pose = type(scene.pose)(*(part.to(to) for part in scene.pose))._replace(center=center)
+        lights = type(scene.light)(light, *(part.to(to) for part in scene.light[1:]))
+        rendering = renderer.render(mesh, textures, pose, backgrounds, lights, CONFIG)
+        return torch.cat((rendering.images, rendering.silhouettes[:, None]), dim=1)
+
+    light = scene.light.direction
+    inputs = (scene.mesh.vertices, scene.texture_maps, scene.pose.center, scene.backgrounds, light)
+    expected = gradients(image, *inputs)
+    draw_with_triton(monkeypatch)
+    assert_close(gradients(on_device(image), *inputs), expected, 1e-4)
+
+
+def test_every_kernel_compiles_for_a_gpu() -> None:
+    """Compile for compute capability 9.0, which takes no GPU; the interpreter would accept what a GPU does not."""
+    environment = {name: value for name, value in os.environ.items() if name != "TRITON_INTERPRET"}
+    command = [sys.executable, "-m", "tests.triton_kernels"]
+    printed = subprocess.run(command, cwd=ROOT, env=environment, check=True, capture_output=True, text=True).stdout
+    assert sorted(printed.split()) == sorted(name for names in KERNELS.values() for name in names)
+
+
+def test_kernels_without_triton_say_what_is_missing() -> None:
+    code = "import sys; sys.modules['triton'] = None; import pipeline.rendering.rasterize_triton"
+    command = [sys.executable, "-c", code]
+    errors = subprocess.run(command, cwd=ROOT, check=False, capture_output=True, text=True).stderr
+    assert "DeviceError: rendering on a GPU needs Triton" in errors
+
+
+@pytest.mark.gpu
+def test_a_gpu_draws_the_faces_of_the_cpu_at_the_size_of_training() -> None:
+    scene = Scene(64, 3, seed=1)
+    vertices_ndc = project(scene.mesh.vertices, scene.pose, CONFIG.camera)
+    actual, expected = (function(vertices_ndc, scene.mesh.faces, 128) for function in (draw, rasterize))
+    assert torch.equal(actual.face_index, expected.face_index)
+    torch.testing.assert_close(actual.barycentric, expected.barycentric, atol=1e-5, rtol=0)
