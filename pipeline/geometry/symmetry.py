@@ -4,6 +4,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from pipeline.device import constant
 from pipeline.errors import MeshError
 
 
@@ -31,7 +32,7 @@ def is_symmetric(vertices: Float[Tensor, "V 3"], mirror: Int[Tensor, " V"], tole
 
 def reflect(vectors: Float[Tensor, "... 3"]) -> Float[Tensor, "... 3"]:
     """Negate the x coordinate."""
-    return vectors * vectors.new_tensor([-1.0, 1.0, 1.0])
+    return vectors * constant((-1.0, 1.0, 1.0), vectors)
 
 
 def symmetrize(offsets: Float[Tensor, "*B V 3"], mirror: Int[Tensor, " V"]) -> Float[Tensor, "*B V 3"]:

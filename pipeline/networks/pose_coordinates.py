@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from pipeline.device import constant
 from pipeline.geometry.camera import CameraConfig, Pose, project
 
 POSE_COORDINATES = 7
@@ -80,8 +81,8 @@ class PoseCoordinates(nn.Module):
     def mirror(self, coordinates: Float[Tensor, "... 7"]) -> Float[Tensor, "... 7"]:
         """Return the coordinates of mirror-symmetric objects in the pictures' left-right mirror images."""
         turn, others = coordinates[..., :2], self.middle + self.reach * coordinates[..., 2:]
-        turn = turn * turn.new_tensor([1.0, -1.0])
-        others = others * others.new_tensor([1.0, -1.0, -1.0, 1.0, 1.0])  # roll and x change their signs
+        turn = turn * constant((1.0, -1.0), turn)
+        others = others * constant((1.0, -1.0, -1.0, 1.0, 1.0), others)  # roll and x change their signs
         return torch.cat([turn, (others - self.middle) / self.reach], -1)
 
     def clamp(self, coordinates: Float[Tensor, "... 7"]) -> Float[Tensor, "... 7"]:

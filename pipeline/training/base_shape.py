@@ -22,7 +22,7 @@ from pipeline.networks.pose_coordinates import Framing, fill_picture
 from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, Scene, SceneConfig, SceneGenerator
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 from pipeline.seeding import generator, initialised
-from pipeline.training.checkpoint import Checkpoint, pack, require_finite, unpack
+from pipeline.training.checkpoint import Checkpoint, pack, read_losses, unpack
 from pipeline.training.curves import Curve
 from pipeline.training.photographs import Photographs
 from pipeline.training.viewpoints import LightConfig, ViewpointConfig, sample_lights, sample_viewpoints
@@ -144,8 +144,8 @@ class SeedTrainer:
         losses["reconstruction"] = balance * losses["chamfer"] + (1 - balance) * losses["feature_matching"]
         return losses
 
-    def step(self, iteration: int) -> dict[str, float]:
-        """Take one optimisation step and return its losses."""
+    def step(self) -> dict[str, Float[Tensor, ""]]:
+        """Take one optimisation step and return its losses, on the device."""
         self.scene.train()
         scene, images = self.generate(self.config.batch_size)
         losses = self.reconstruction_loss(images)
@@ -153,11 +153,10 @@ class SeedTrainer:
         if self.config.constraints.smoothness:
             losses["smoothness"] = smoothness(scene.vertices, self.sphere.topology, self.config.smoothness).mean()
             total = total + losses["smoothness"]
-        require_finite(total, iteration)
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()
         self.optimizer.step()
-        return {name: loss.item() for name, loss in losses.items()}
+        return {name: loss.detach() for name, loss in losses.items()}
 
     @torch.no_grad()
     def shape(self) -> Float[Tensor, "V 3"]:
@@ -212,7 +211,7 @@ def learn_base_shape(
 def _train(trainer: SeedTrainer, curve: Curve, checkpoint: Checkpoint) -> None:
     config = trainer.config
     parts = {"scene": trainer.scene, "optimizer": trainer.optimizer, "rng": trainer.rng}
-    own, first = Curve(), 0
+    own, unread, first = Curve(), [], 0
     if (restored := checkpoint.load()) is not None:
         tensors, values = restored
         unpack(tensors, **parts)
@@ -220,7 +219,10 @@ def _train(trainer: SeedTrainer, curve: Curve, checkpoint: Checkpoint) -> None:
     for iteration in tqdm(
         range(first, config.iterations), f"seed {trainer.index}", initial=first, total=config.iterations, disable=None
     ):
-        own.append(iteration, seed=trainer.index, **trainer.step(iteration))
+        unread.append(trainer.step())
         if (iteration + 1) % config.checkpoint_every == 0 or iteration + 1 == config.iterations:
+            for number, losses in enumerate(read_losses(unread, iteration), iteration + 1 - len(unread)):
+                own.append(number, seed=trainer.index, **losses)
+            unread = []
             checkpoint.save(pack(**parts), {"iteration": iteration + 1, "rows": own.rows})
     curve.rows.extend(own.rows)

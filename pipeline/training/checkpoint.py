@@ -2,11 +2,13 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
@@ -78,12 +80,24 @@ def unpack(tensors: Mapping[str, Tensor], **parts: Part) -> None:
 
 
 def require_finite(loss: Tensor, iteration: int) -> None:
-    """Raise TrainingDiverged unless the loss is finite; call it before the optimizer's step and the next checkpoint."""
-    if not bool(torch.isfinite(loss).all()):
-        raise TrainingDiverged(
-            f"the loss became {loss.detach().flatten()[0].item()} at iteration {iteration}; "
-            "the last checkpoint before it is kept: lower the learning rate or look at the inputs"
-        )
+    """Raise TrainingDiverged unless the loss is finite; call it before the next checkpoint."""
+    read_losses([{"loss": loss.detach()}], iteration)
+
+
+def read_losses(rows: Sequence[Mapping[str, Float[Tensor, ""]]], iteration: int) -> list[dict[str, float]]:
+    """Bring the losses of consecutive iterations, the last of which is `iteration`, to the host in one copy.
+
+    The host waits for a GPU then, so let some iterations pass, but read before the next checkpoint: raises
+    TrainingDiverged where a loss is not finite.
+    """
+    table = torch.stack([torch.stack([*row.values()]) for row in rows]).tolist() if rows else []
+    for number, values in enumerate(table, iteration + 1 - len(table)):
+        if not all(map(math.isfinite, values)):
+            raise TrainingDiverged(
+                f"the loss became {next(value for value in values if not math.isfinite(value))} at iteration {number}; "
+                "the last checkpoint before it is kept: lower the learning rate or look at the inputs"
+            )
+    return [dict(zip(row, values, strict=True)) for row, values in zip(rows, table, strict=True)]
 
 
 def _state(name: str, part: Part) -> dict[str, Tensor]:

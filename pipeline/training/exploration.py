@@ -12,6 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
+from pipeline.device import constant
 from pipeline.errors import ConfigError
 from pipeline.losses.image_distance import Features, feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor
@@ -192,7 +193,7 @@ def explore(
 
 def flipped(pose: Float[Tensor, "B 7"], count: int) -> Float[Tensor, "count B 7"]:
     """Turn poses to the opposite side, swap left and right, swap front and rear: the first `count` of the three."""
-    cosine_and_sine = pose.new_tensor([[-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])[:count, None]
+    cosine_and_sine = constant(((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)), pose)[:count, None]
     return torch.cat([cosine_and_sine * pose[:, :2], pose[:, 2:].expand(count, -1, -1)], dim=2)
 
 

@@ -20,7 +20,7 @@ from pipeline.networks.pose_coordinates import POSE_COORDINATES
 from pipeline.networks.scene_generator import SceneGenerator
 from pipeline.rendering.renderer import Mesh
 from pipeline.seeding import generator, initialised
-from pipeline.training.checkpoint import Checkpoint, Part, pack, require_finite, unpack
+from pipeline.training.checkpoint import Checkpoint, Part, pack, read_losses, unpack
 from pipeline.training.curves import Curve
 from pipeline.training.exploration import (
     Estimate,
@@ -109,8 +109,8 @@ class FullTrainer:
         order = torch.randperm(among, generator=self.rng, device=self.rng.device)
         return order[: config.batch_size]
 
-    def step(self, iteration: int) -> dict[str, float]:
-        """Explore, record, and take one optimisation step; return the terms of the loss."""
+    def step(self, iteration: int) -> dict[str, Float[Tensor, ""]]:
+        """Explore, record, and take one optimisation step; return the terms of the loss, on the device."""
         index = self.draw(iteration)
         images, features = self.photographs.batch(index)
         estimate = self.estimate(images)
@@ -119,11 +119,10 @@ class FullTrainer:
         self.record.pose[index], self.record.shape[index] = best.record.pose.detach(), best.record.shape.detach()
         self.visits[index] += 1
         losses = self.loss.terms(features, estimate, best, self.rng)
-        require_finite(losses["loss"], iteration)
         self.optimizer.zero_grad(set_to_none=True)
         losses["loss"].backward()
         self.optimizer.step()
-        return {name: loss.item() for name, loss in losses.items()}
+        return {name: loss.detach() for name, loss in losses.items()}
 
     def start_from(self, scenes: SceneGenerator) -> None:
         """Learn to read the base shape's renderings, and record first poses of the first photographs from them.
@@ -199,7 +198,7 @@ def train_full(
     require_maps(config.exploration.map_weights, extractor, "train_full.exploration.map_weights")
     photographs = Photographs(images, extractor, config.batch_size, memory)
     trainer = FullTrainer(config, photographs, extractor, base, seed)
-    curve, recent, first = Curve(), [], 0
+    curve, recent, unread, first = Curve(), [], [], 0
     if (restored := checkpoint.load()) is not None:
         tensors, values = restored
         unpack(tensors, **trainer.parts())
@@ -209,13 +208,16 @@ def train_full(
         checkpoint.save(pack(**trainer.parts()), {"iteration": 0, "rows": [], "recent": []})
     steps = range(first, config.iterations)
     for iteration in tqdm(steps, "full training", initial=first, total=config.iterations, disable=None):
-        recent.append(trainer.step(iteration))
+        unread.append(trainer.step(iteration))
+        if any((iteration + 1) % every == 0 for every in (config.curve_every, config.checkpoint_every)):
+            recent, unread = recent + read_losses(unread, iteration), []
         if (iteration + 1) % config.curve_every == 0:
             curve.append(iteration + 1, **_means(recent))
             recent = []
         if (iteration + 1) % config.checkpoint_every == 0:
             values = {"iteration": iteration + 1, "rows": curve.rows, "recent": recent}
             checkpoint.save(pack(**trainer.parts()), values)
+    read_losses(unread, config.iterations - 1)
     return trainer, curve
 
 

@@ -16,7 +16,7 @@ from tqdm import tqdm
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.networks.scene_generator import SceneGenerator
 from pipeline.rendering.renderer import Mesh, render
-from pipeline.training.checkpoint import require_finite
+from pipeline.training.checkpoint import read_losses
 from pipeline.training.viewpoints import LightConfig, sample_lights
 
 
@@ -50,12 +50,14 @@ class Sample(NamedTuple):
 def warm_up(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: torch.Generator) -> None:
     """Train every encoder and decoder of the model on renderings. Raises TrainingDiverged as full training does."""
     optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, betas=config.betas)
-    for iteration in tqdm(range(config.iterations), "warm-up", disable=None):
+    losses: list[dict[str, Tensor]] = []
+    for _ in tqdm(range(config.iterations), "warm-up", disable=None):
         loss = warm_up_loss(model, draw_sample(model, scenes, config, rng))
-        require_finite(loss, iteration)
+        losses.append({"loss": loss.detach()})
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         optimizer.step()
+    read_losses(losses, config.iterations - 1)
 
 
 def draw_sample(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: torch.Generator) -> Sample:

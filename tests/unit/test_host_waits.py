@@ -1,0 +1,151 @@
+"""Within an iteration the host never waits for the device: it would, on a GPU, where a number or a size is asked for.
+
+Without a GPU the operations that would wait are noticed while Triton's interpreter draws; constants are made and
+topologies derived in a first iteration.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+from torch.utils._python_dispatch import TorchDispatchMode
+
+from pipeline.geometry.camera import CameraConfig
+from pipeline.geometry.icosphere import icosphere
+from pipeline.networks.wide_resnet import extract
+from pipeline.rendering.renderer import Mesh, RendererConfig
+from pipeline.seeding import generator
+from pipeline.training.base_shape import Photographs as FeaturesOfPhotographs
+from pipeline.training.base_shape import SeedTrainer, build_sphere
+from pipeline.training.full import FullTrainer, Photographs
+from pipeline.training.warm_up import draw_sample, warm_up_loss
+from tests.learning.test_base_shape import CONFIG as BASE_SHAPE
+from tests.tiny_full_model import MODEL, TRAINING, photographs, tiny_extractor, tiny_model, tiny_scenes
+from tests.triton_kernels import DEVICE, draw_with_triton, enlarge_programs
+
+SMALL = RendererConfig(CameraConfig(2.7, 30.0), 8, 2)
+FEW = replace(TRAINING.exploration, perturbed_poses=1, flipped_poses=1, turned_poses=1)
+aten = torch.ops.aten
+WAITING = {
+    aten._local_scalar_dense.default: "a tensor became a number",
+    aten.equal.default: "tensors were compared",
+    aten.is_nonzero.default: "a tensor became a truth value",
+    aten.lift_fresh.default: "numbers became a tensor",
+    aten.masked_select.default: "a mask chose entries",
+    aten.nonzero.default: "entries were counted",
+    aten.repeat_interleave.Tensor: "a size was computed",
+    aten._unique2.default: "a size was computed",
+    aten.unique_consecutive.default: "a size was computed",
+    aten.unique_dim.default: "a size was computed",
+}
+
+
+class NoticeWaits(TorchDispatchMode):
+    """Raise AssertionError where the host would wait; numbers that live on the host, as Adam counts steps, are free."""
+
+    def __init__(self, on_host: Sequence[Tensor]) -> None:
+        super().__init__()
+        self.on_host = {value.data_ptr() for value in on_host}
+
+    def __torch_dispatch__(
+        self,
+        func: Callable[..., Any],
+        types: Sequence[type],
+        args: tuple[Any, ...] = (),
+        kwargs: Mapping[str, Any] | None = None,
+    ) -> Any:
+        asked = isinstance(args[0], Tensor) and args[0].data_ptr() in self.on_host if args else False
+        assert func not in WAITING or asked, WAITING[func]
+        indices = args[1] if func in (aten.index.Tensor, aten.index_put.default, aten.index_put_.default) else ()
+        masked = any(index is not None and index.dtype == torch.bool for index in indices)
+        assert not masked, "a mask chose entries"
+        return func(*args, **(kwargs or {}))
+
+
+@contextmanager
+def no_waits(optimizer: torch.optim.Optimizer | None = None) -> Iterator[None]:
+    """Fail where the host waits: noticed by PyTorch on a GPU, by the operations elsewhere."""
+    if DEVICE.type == "cuda":
+        torch.cuda.set_sync_debug_mode("error")
+        try:
+            yield
+        finally:
+            torch.cuda.set_sync_debug_mode("default")
+        return
+    states = optimizer.state.values() if optimizer is not None else ()
+    with NoticeWaits([state["step"] for state in states]):
+        yield
+
+
+@pytest.fixture(autouse=True)
+def large_programs(monkeypatch: pytest.MonkeyPatch) -> None:
+    enlarge_programs(monkeypatch)
+
+
+def full_trainer() -> FullTrainer:
+    model = replace(MODEL, renderer=SMALL)
+    config = replace(TRAINING, model=model, batch_size=2, settle=0, exploration=FEW)
+    images = photographs(4)[0][..., ::4, ::4].to(DEVICE)
+    directions, faces = (part.to(DEVICE) for part in icosphere(1))
+    extractor, base = tiny_extractor().to(DEVICE), Mesh(directions[None] / 2, faces, directions)
+    return FullTrainer(config, Photographs(images, extract(extractor, images, 4)), extractor, base, 0)
+
+
+@pytest.mark.parametrize(
+    "wait",
+    [
+        lambda values: values.sum().item(),
+        lambda values: bool(values.any()),
+        lambda values: values[values > 0],
+        lambda values: values.index_put((values > 0,), values.sum()),
+        lambda values: values.nonzero(),
+        lambda values: values.new_tensor([1.0, 2.0]),
+        lambda values: torch.arange(3).repeat_interleave(values.long()),
+    ],
+)
+@pytest.mark.skipif(DEVICE.type == "cuda", reason="on a GPU PyTorch notices waits itself")
+def test_waits_are_noticed(wait: Callable[[Tensor], object]) -> None:
+    values = torch.ones(3)
+    with pytest.raises(AssertionError), no_waits():
+        wait(values)
+
+
+def test_an_iteration_of_full_training_waits_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer = full_trainer()
+    trainer.step(0)
+    draw_with_triton(monkeypatch)
+    with no_waits(trainer.optimizer):
+        losses = trainer.step(1)
+    assert all(loss.isfinite() for loss in losses.values())
+
+
+def test_an_iteration_of_base_shape_learning_waits_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = replace(BASE_SHAPE, batch_size=2)
+    extractor = tiny_extractor().to(DEVICE)
+    images = photographs(4)[0][..., ::2, ::2].to(DEVICE)
+    features = FeaturesOfPhotographs(extract(extractor, images, 4))
+    trainer = SeedTrainer(config, build_sphere(config.subdivisions, DEVICE), features, extractor, 0, 0)
+    trainer.step()
+    draw_with_triton(monkeypatch)
+    with no_waits(trainer.optimizer):
+        losses = trainer.step()
+    assert all(loss.isfinite() for loss in losses.values())
+
+
+def test_an_iteration_of_the_warm_up_waits_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, scenes, rng = (
+        tiny_model(renderer=replace(MODEL.renderer, supersampling=1)).to(DEVICE),
+        tiny_scenes().to(DEVICE),
+        generator(0, device=DEVICE),
+    )
+    config = replace(TRAINING.warm_up, batch_size=2)
+    warm_up_loss(model, draw_sample(model, scenes, config, rng)).backward()
+    draw_with_triton(monkeypatch)
+    with no_waits():
+        loss = warm_up_loss(model, draw_sample(model, scenes, config, rng))
+        loss.backward()
+    assert loss.isfinite()
