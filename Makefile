@@ -25,10 +25,11 @@ check: $(STAMP)  ## style, types and the direction of imports
 	pyright
 	lint-imports
 
-bench: $(STAMP)  ## time the renderer and the training steps; JSON under results/bench
+BENCH ?= bench
+bench: $(STAMP)  ## time the renderer and the training steps, on a GPU where there is one: results/bench/$(BENCH).json
 	mkdir -p results/bench
 	pytest benchmarks --override-ini addopts=--import-mode=importlib --override-ini "python_files=bench_*.py" \
-		--benchmark-json results/bench/bench.json
+		--benchmark-json results/bench/$(BENCH).json
 
 dependencies: $(STAMP)  ## rewrite the code dependencies of dvc.yaml
 	python -m tests.project.import_closure

@@ -13,6 +13,7 @@ def pytest_benchmark_update_json(output_json: dict[str, Any]) -> None:
         "python": machine["python_version"],
         "torch": torch.__version__,
         "torch_threads": torch.get_num_threads(),
+        "gpu": torch.cuda.get_device_name() if torch.cuda.is_available() else None,
     }
     for benchmark in output_json["benchmarks"]:
         benchmark["stats"].pop("data", None)
