@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 from torch.profiler import profile
 from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 from torch.utils.flop_counter import flop_registry
 
 from pipeline.device import resolve_device
@@ -54,7 +55,7 @@ def matrix_rate() -> float:
     size = 8192 if ON_GPU else 2048
     factors = torch.randn(2, size, size, device=DEVICE)
     precision = torch.backends.cuda.matmul.fp32_precision
-    torch.backends.cuda.matmul.fp32_precision = torch.backends.cudnn.conv.fp32_precision
+    torch.backends.cuda.matmul.fp32_precision = "tf32"
     rate = 2 * size**3 / seconds(lambda: factors[0] @ factors[1], repeats=10)
     torch.backends.cuda.matmul.fp32_precision = precision
     return rate
@@ -83,7 +84,7 @@ class CountWork(TorchDispatchMode):
     ) -> Any:
         result = func(*args, **(kwargs or {}))
         if not func.is_view:
-            leaves = torch.utils._pytree.tree_leaves((args, kwargs, result))
+            leaves = tree_leaves((args, kwargs, result))
             self.bytes += sum(leaf.numel() * leaf.element_size() for leaf in leaves if isinstance(leaf, Tensor))
         if (formula := flop_registry.get(func.overloadpacket)) is not None:
             self.operations += formula(*args, **(kwargs or {}), out_val=result)

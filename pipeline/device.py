@@ -12,15 +12,15 @@ from pipeline.errors import ConfigError
 def resolve_device(name: str) -> torch.device:
     """Turn `cpu`, `cuda` or `auto` (a GPU where there is one) into a device.
 
-    On a GPU, convolutions then round their factors to TF32, which the features' distances do not notice, and matrix
-    products do not: projected vertices would lose ten of their bits. Raises ConfigError for any other name, and for
+    On a GPU, convolutions then round their factors to TF32; matrix products do not, which would move projected vertices
+    (docs/decisions.md). Raises ConfigError for any other name, and for
     `cuda` on a machine without a GPU.
     """
     if name not in ("auto", "cpu", "cuda"):
         raise ConfigError(f"device is '{name}'; expected auto, cpu or cuda")
     if name == "cuda" and not torch.cuda.is_available():
         raise ConfigError("device is 'cuda' but PyTorch finds no GPU here; set device to auto or cpu")
-    torch.backends.cudnn.conv.fp32_precision = "tf32"
+    torch.backends.cudnn.conv.fp32_precision = "tf32"  # pyright: ignore[reportAttributeAccessIssue]
     torch.backends.cuda.matmul.fp32_precision = "ieee"
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")

@@ -94,6 +94,7 @@ class FeatureTrainer:
         self.optimizer = _build_optimizer(config, self.network)
         self.rng = generator(seed, "features", "augmentation", device=device)
         self.loss_sum = torch.zeros((), device=device)
+        self.epoch, self.order = -1, torch.zeros(0, dtype=torch.int64, device=device)
 
     def parts(self) -> dict[str, nn.Module | torch.optim.Optimizer | torch.Generator | Tensor]:
         """Return what a checkpoint must hold."""
@@ -102,8 +103,10 @@ class FeatureTrainer:
     def batch(self, iteration: int) -> tuple[UInt8[Tensor, "B 3 H W"], Int[Tensor, " B"]]:
         """Draw the iteration's pictures, augmented, and what the network must tell of them."""
         epoch, position = divmod(iteration, self.iterations_per_epoch)
-        order = torch.randperm(len(self.train.images), generator=generator(self.seed, "features", "order", epoch))
-        index = order[position * self.batch_size : (position + 1) * self.batch_size].to(self.rng.device)
+        if epoch != self.epoch:
+            order = torch.randperm(len(self.train.images), generator=generator(self.seed, "features", "order", epoch))
+            self.epoch, self.order = epoch, order.to(self.rng.device)
+        index = self.order[position * self.batch_size : (position + 1) * self.batch_size]
         images = crop_and_mirror(self.train.images[index], self.config.crop_margin, self.rng)
         if self.config.method != "rotation":
             return images, self.train.labels[index]
