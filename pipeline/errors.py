@@ -21,6 +21,10 @@ class MeshError(UserError):
     """Report a mesh that is not what the pipeline needs: closed, of genus 0 and mirror-symmetric."""
 
 
+class ProcessKilled(UserError):
+    """Report that one of the processes that share a training was killed from outside."""
+
+
 class TrainingDiverged(UserError):
     """Report a loss that is no longer finite; the last checkpoint before it is kept."""
 

@@ -1,11 +1,16 @@
 """Learn a category's base shape from its photographs (paper 3.1)."""
 
+from argparse import Namespace
 from pathlib import Path
+
+import torch
 
 from pipeline.config import load, scalar
 from pipeline.datasets.images import load_images_of_size, place_images
 from pipeline.device import resolve_device, resolve_memory
+from pipeline.distributed import is_first
 from pipeline.files import save_tensors, write_json
+from pipeline.launch import share_work
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.scene_generator import scene_texts
 from pipeline.training.base_shape import BaseShapeConfig, BaseShapes, learn_base_shape
@@ -14,19 +19,16 @@ from stages.command_line import parse, run
 
 
 def main() -> None:
-    """Learn every seed's shape, then write all of them and the best one's generators."""
-    arguments = parse(
-        __doc__,
-        images=Path,
-        features=Path,
-        seed=int,
-        checkpoints=Path,
-        out=Path,
-        metrics=Path,
-        curve=Path,
-    )
-    config = load(arguments.params, BaseShapeConfig, arguments.sections)
+    """Learn in as many processes as the parameters say."""
+    paths = dict.fromkeys(["images", "features", "checkpoints", "out", "metrics", "curve"], Path)
+    arguments = parse(__doc__, **paths, seed=int)
     device = resolve_device(scalar(arguments.params, "device"))
+    share_work(scalar(arguments.params, "processes.learn_base_shape"), device, learn, arguments, device)
+
+
+def learn(arguments: Namespace, device: torch.device) -> None:
+    """Learn every seed's shape, then write all of them and the best one's generators."""
+    config = load(arguments.params, BaseShapeConfig, arguments.sections)
     memory = resolve_memory(scalar(arguments.params, "memory"))
     key = restart_key(config, [arguments.images, arguments.features], arguments.seed)
     shapes = learn_base_shape(
@@ -38,6 +40,8 @@ def main() -> None:
         arguments.checkpoints,
         key,
     )
+    if not is_first():
+        return
     save(shapes, arguments.out)
     shapes.curve.write(arguments.curve)
     scores = shapes.scores.tolist()

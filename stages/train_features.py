@@ -1,10 +1,13 @@
 """Train the network whose features pictures are compared in, or take over a given one (paper 4.1, 4.2)."""
 
+from argparse import Namespace
 from pathlib import Path
 
 from pipeline.config import load, scalar
 from pipeline.device import resolve_device, resolve_memory
+from pipeline.distributed import is_first
 from pipeline.files import write_json
+from pipeline.launch import share_work
 from pipeline.networks.feature_extractor import save_feature_extractor
 from pipeline.training.checkpoint import Checkpoint, restart_key
 from pipeline.training.curves import Curve
@@ -21,25 +24,33 @@ from stages.command_line import parse, run
 
 
 def main() -> None:
-    """Train on every category of the data set; write the weights, the figures they reach and the curve."""
+    """Train in as many processes as the parameters say."""
     paths = dict.fromkeys(["images", "test_images", "initial", "checkpoints", "out", "metrics", "curve"], Path)
     arguments = parse(__doc__, **paths, seed=int)
-    config = load(arguments.params, FeaturesConfig, arguments.sections)
     device = resolve_device(scalar(arguments.params, "device"))
+    share_work(scalar(arguments.params, "processes.train_features"), device, train, arguments, device)
+
+
+def train(arguments: Namespace, device: torch.device) -> None:
+    """Train on every category of the data set; write the weights, the figures they reach and the curve."""
+    config = load(arguments.params, FeaturesConfig, arguments.sections)
     memory = resolve_memory(scalar(arguments.params, "memory"))
     categories = list_categories(arguments.images)
-    train = load_pictures(arguments.images, categories, device, memory)
+    pictures = load_pictures(arguments.images, categories, device, memory)
     test = load_pictures(arguments.test_images, categories, device, memory)
     metadata = {"categories": " ".join(categories), "method": config.method}
     if config.method == "pretrained":
-        given = adopt(arguments.initial, train.images, config.distance, arguments.seed)
-        save_feature_extractor(arguments.out, given, config.color_weight, metadata)
-        Curve().write(arguments.curve)
-        write_json(arguments.metrics, {"maps": given.maps, "parameters": count_parameters(given)})
+        if is_first():
+            given = adopt(arguments.initial, pictures.images, config.distance, arguments.seed)
+            save_feature_extractor(arguments.out, given, config.color_weight, metadata)
+            Curve().write(arguments.curve)
+            write_json(arguments.metrics, {"maps": given.maps, "parameters": count_parameters(given)})
         return
     inputs = [arguments.images, arguments.test_images, arguments.initial]
     checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed))
-    network, curve = train_features(config, train, test, arguments.initial, arguments.seed, checkpoint)
+    network, curve = train_features(config, pictures, test, arguments.initial, arguments.seed, checkpoint)
+    if not is_first():
+        return
     save_feature_extractor(arguments.out, network, config.color_weight, metadata)
     curve.write(arguments.curve)
     write_json(arguments.metrics, measure(arguments.out, test, config, device))

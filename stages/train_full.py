@@ -1,12 +1,17 @@
 """Train the model that reads shape, pose, texture and background off one photograph (paper 3.2)."""
 
+from argparse import Namespace
 from pathlib import Path
+
+import torch
 
 from pipeline.config import load, scalar
 from pipeline.datasets.images import load_images_of_size, place_images
 from pipeline.device import resolve_device, resolve_memory
+from pipeline.distributed import is_first
 from pipeline.files import save_tensors, write_json
 from pipeline.geometry.camera import pose_to_tensor
+from pipeline.launch import share_work
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.full_model import full_model_texts
 from pipeline.networks.scene_generator import load_scene_generator
@@ -16,21 +21,16 @@ from stages.command_line import parse, run
 
 
 def main() -> None:
-    """Train around the base mesh, then write the model, the recorded best poses and shapes, and the curve."""
-    arguments = parse(
-        __doc__,
-        images=Path,
-        features=Path,
-        base_shape=Path,
-        mesh=Path,
-        seed=int,
-        checkpoints=Path,
-        out=Path,
-        metrics=Path,
-        curve=Path,
-    )
-    config = load(arguments.params, FullTrainingConfig, arguments.sections)
+    """Train in as many processes as the parameters say."""
+    paths = dict.fromkeys(["images", "features", "base_shape", "mesh", "checkpoints", "out", "metrics", "curve"], Path)
+    arguments = parse(__doc__, **paths, seed=int)
     device = resolve_device(scalar(arguments.params, "device"))
+    share_work(scalar(arguments.params, "processes.train_full"), device, train, arguments, device)
+
+
+def train(arguments: Namespace, device: torch.device) -> None:
+    """Train around the base mesh, then write the model, the recorded best poses and shapes, and the curve."""
+    config = load(arguments.params, FullTrainingConfig, arguments.sections)
     memory = resolve_memory(scalar(arguments.params, "memory"))
     inputs = [arguments.images, arguments.features, arguments.base_shape, arguments.mesh]
     checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed))
@@ -44,6 +44,8 @@ def main() -> None:
         arguments.seed,
         checkpoint,
     )
+    if not is_first():
+        return
     save(trainer, arguments.out)
     curve.write(arguments.curve)
     write_json(arguments.metrics, curve.rows[-1])

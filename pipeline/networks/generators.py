@@ -9,6 +9,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from pipeline.networks.batch_normalization import BatchNorm2d
+
 
 class ShapeGenerator(nn.Module):
     """Map a latent vector to an offset of every vertex (paper 3.1.1).
@@ -47,11 +49,11 @@ class ResidualUpsample(nn.Module):
         self.upsample = nn.Upsample(scale_factor=2.0, mode="nearest")
         self.shortcut = nn.Conv2d(in_channels, out_channels, 1)
         self.residual = nn.Sequential(
-            nn.BatchNorm2d(in_channels),
+            BatchNorm2d(in_channels),
             nn.ReLU(),
             self.upsample,
             nn.Conv2d(in_channels, out_channels, 3, padding=1, padding_mode=padding_mode),
-            nn.BatchNorm2d(out_channels),
+            BatchNorm2d(out_channels),
             nn.ReLU(),
             nn.Conv2d(out_channels, out_channels, 3, padding=1, padding_mode=padding_mode),
         )
@@ -71,7 +73,7 @@ class ImageGenerator(nn.Module):
         self.start = nn.Linear(latent_size, widths[0] * 16)
         self.blocks = nn.Sequential(*(ResidualUpsample(before, after, wrap) for before, after in pairwise(widths)))
         self.output = nn.Sequential(
-            nn.BatchNorm2d(widths[-1]), nn.ReLU(), nn.Conv2d(widths[-1], out_channels, 3, padding=1)
+            BatchNorm2d(widths[-1]), nn.ReLU(), nn.Conv2d(widths[-1], out_channels, 3, padding=1)
         )
         _spread(self)
 

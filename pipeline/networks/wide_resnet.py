@@ -10,6 +10,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from pipeline.errors import DataError
 from pipeline.files import load_tensors
+from pipeline.networks.batch_normalization import BatchNorm2d
 
 
 class ResidualBlock(nn.Module):
@@ -17,9 +18,9 @@ class ResidualBlock(nn.Module):
 
     def __init__(self, channels_in: int, channels_out: int, stride: int) -> None:
         super().__init__()
-        self.normalization_1: nn.Module = nn.BatchNorm2d(channels_in)
+        self.normalization_1: nn.Module = BatchNorm2d(channels_in)
         self.convolution_1 = nn.Conv2d(channels_in, channels_out, 3, stride, padding=1, bias=False)
-        self.normalization_2: nn.Module = nn.BatchNorm2d(channels_out)
+        self.normalization_2: nn.Module = BatchNorm2d(channels_out)
         self.convolution_2 = nn.Conv2d(channels_out, channels_out, 3, padding=1, bias=False)
         self.projection = (
             nn.Conv2d(channels_in, channels_out, 1, stride, bias=False) if channels_in != channels_out else None
@@ -60,7 +61,7 @@ class WideResNet(nn.Module):
             )
             for i in range(3)
         )
-        self.normalization = nn.BatchNorm2d(channels[3])
+        self.normalization = BatchNorm2d(channels[3])
         self.classifier = nn.Linear(channels[3], classes)
         self._initialize()
 

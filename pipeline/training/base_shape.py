@@ -10,6 +10,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from pipeline.datasets.images import Images
+from pipeline.distributed import agree, average, average_gradients, divide, share, silent, whole
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.symmetry import mirror_index
@@ -98,6 +99,15 @@ class BaseShapes(NamedTuple):
     curve: Curve
 
 
+class Learned(NamedTuple):
+    """What one seed ends with, on the CPU: its shape, label-free score and generators, and rows of the curve."""
+
+    vertices: Float[Tensor, "V 3"]
+    score: float
+    generator: SceneGenerator
+    rows: list[dict[str, float]]
+
+
 class SeedTrainer:
     """Train one seed's generators."""
 
@@ -122,22 +132,23 @@ class SeedTrainer:
             ).to(device)
         self.optimizer = torch.optim.Adam(self.scene.parameters(), lr=config.learning_rate, betas=config.betas)
         self.rng = generator(seed, "base_shape", index, device=device)
+        agree(self.scene.state_dict().values())
 
     def generate(self, count: int) -> tuple[Scene, Float[Tensor, "B 3 H W"]]:
-        """Draw scenes, viewpoints and lights and render them (paper 3.1.5)."""
-        scene = self.scene(self.scene.sample_noise(count, self.rng))
-        pose = sample_viewpoints(self.config.viewpoint, count, self.rng)
+        """Draw `count` scenes, viewpoints and lights; render this process's share of them (paper 3.1.5)."""
+        scene = self.scene(share(self.scene.sample_noise(count, self.rng)))
+        pose = share(sample_viewpoints(self.config.viewpoint, count, self.rng))
         if self.config.framing == "box":
             pose = fill_picture(scene.vertices, pose, self.config.renderer.camera)
-        light = sample_lights(self.config.light, count, self.rng)
+        light = share(sample_lights(self.config.light, count, self.rng))
         mesh = Mesh(scene.vertices, self.sphere.faces, self.sphere.directions)
         rendering = render(mesh, scene.texture_maps, pose, scene.backgrounds, light, self.config.renderer)
         return scene, rendering.images
 
     def reconstruction_loss(self, images: Float[Tensor, "B 3 H W"]) -> dict[str, Tensor]:
-        """Compare renderings with as many random photographs (paper eqs. 1 to 3)."""
+        """Compare renderings, of which this process holds a share, with as many photographs (paper eqs. 1 to 3)."""
         total = len(self.photographs.images)
-        index = torch.randint(total, (len(images),), generator=self.rng, device=self.rng.device)
+        index = torch.randint(total, (whole(len(images)),), generator=self.rng, device=self.rng.device)
         (_, real), generated = self.photographs.batch(index), self.extractor(images)
         balance = self.config.reconstruction_balance
         losses = {"chamfer": chamfer(real, generated), "feature_matching": feature_matching(real, generated)}
@@ -155,8 +166,9 @@ class SeedTrainer:
             total = total + losses["smoothness"]
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()
+        average_gradients(self.optimizer)
         self.optimizer.step()
-        return {name: loss.detach() for name, loss in losses.items()}
+        return {name: average(loss.detach()) for name, loss in losses.items()}
 
     @torch.no_grad()
     def shape(self) -> Float[Tensor, "V 3"]:
@@ -171,7 +183,7 @@ class SeedTrainer:
             self.reconstruction_loss(self.generate(self.config.batch_size)[1])["reconstruction"]
             for _ in range(self.config.score_batches)
         ]
-        return torch.stack(losses).mean().item()
+        return average(torch.stack(losses).mean()).item()
 
 
 def build_sphere(subdivisions: int, device: torch.device) -> Sphere:
@@ -192,37 +204,40 @@ def learn_base_shape(
 ) -> BaseShapes:
     """Learn one base shape a seed and pick the one whose renderings are closest to the photographs.
 
-    Photographs and their kept features may take `memory` bytes. Restart states live under `checkpoints`; a killed call
-    that is repeated returns the same bytes.
+    Photographs and their kept features may take `memory` bytes. Processes take the seeds in turn, each working alone, so
+    that their number changes no shape; a single seed's batches are shared. Restart states live under `checkpoints`; a
+    killed call that is repeated returns the same bytes.
     """
     sphere = build_sphere(config.subdivisions, next(extractor.parameters()).device)
     photographs = Photographs(images, extractor, config.batch_size, memory)
-    curve, shapes, scores, scenes = Curve(), [], [], []
-    for index in range(config.seeds):
+
+    def learn(index: int) -> Learned:
         trainer = SeedTrainer(config, sphere, photographs, extractor, seed, index)
-        _train(trainer, curve, Checkpoint(checkpoints / str(index), key))
-        shapes.append(trainer.shape())
-        scores.append(trainer.score())
-        scenes.append(trainer.scene)
+        curve = _train(trainer, Checkpoint(checkpoints / str(index), key))
+        return Learned(trainer.shape().cpu(), trainer.score(), trainer.scene.cpu(), curve.rows)
+
+    learned = divide(learn, config.seeds)
+    scores = [one.score for one in learned]
     best = min(range(config.seeds), key=scores.__getitem__)
-    return BaseShapes(sphere, torch.stack(shapes), torch.tensor(scores), best, scenes[best], curve)
+    curve = Curve([row for one in learned for row in one.rows])
+    vertices = torch.stack([one.vertices for one in learned])
+    return BaseShapes(sphere, vertices, torch.tensor(scores), best, learned[best].generator, curve)
 
 
-def _train(trainer: SeedTrainer, curve: Curve, checkpoint: Checkpoint) -> None:
+def _train(trainer: SeedTrainer, checkpoint: Checkpoint) -> Curve:
     config = trainer.config
     parts = {"scene": trainer.scene, "optimizer": trainer.optimizer, "rng": trainer.rng}
-    own, unread, first = Curve(), [], 0
+    curve, unread, first = Curve(), [], 0
     if (restored := checkpoint.load()) is not None:
         tensors, values = restored
         unpack(tensors, **parts)
-        own, first = Curve(values["rows"]), values["iteration"]
-    for iteration in tqdm(
-        range(first, config.iterations), f"seed {trainer.index}", initial=first, total=config.iterations, disable=None
-    ):
+        curve, first = Curve(values["rows"]), values["iteration"]
+    steps = range(first, config.iterations)
+    for iteration in tqdm(steps, f"seed {trainer.index}", initial=first, total=config.iterations, disable=silent()):
         unread.append(trainer.step())
         if (iteration + 1) % config.checkpoint_every == 0 or iteration + 1 == config.iterations:
             for number, losses in enumerate(read_losses(unread, iteration), iteration + 1 - len(unread)):
-                own.append(number, seed=trainer.index, **losses)
+                curve.append(number, seed=trainer.index, **losses)
             unread = []
-            checkpoint.save(pack(**parts), {"iteration": iteration + 1, "rows": own.rows})
-    curve.rows.extend(own.rows)
+            checkpoint.save(pack(**parts), {"iteration": iteration + 1, "rows": curve.rows})
+    return curve

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.optim import Optimizer
 
+from pipeline.distributed import from_first, is_first
 from pipeline.errors import TrainingDiverged
 from pipeline.files import load_tensors, save_tensors, sha256
 
@@ -22,7 +23,8 @@ LIBRARY = Path(__file__).parents[1]
 class Checkpoint:
     """Hold the restart state of one training: tensors and JSON values in one file of a folder.
 
-    The key says what the state belongs to (see `restart_key`): a state with another key is never loaded.
+    The key says what the state belongs to (see `restart_key`): a state with another key is never loaded. Where
+    processes share the training, the first one reads and writes the file and the others receive what it read.
     """
 
     def __init__(self, folder: Path, key: str) -> None:
@@ -32,18 +34,22 @@ class Checkpoint:
 
     def load(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
         """Return the saved tensors, on the CPU, and values; None where there are none or their key differs."""
-        if not self._path.exists():
-            return None
-        tensors, texts = load_tensors(self._path)
-        return (tensors, json.loads(texts["values"])) if texts["key"] == self._key else None
+        return from_first(self._read() if is_first() else None)
 
     def save(self, tensors: Mapping[str, Tensor], values: Mapping[str, Any]) -> None:
         """Replace the saved state in one step: a kill leaves either the old or the new one, whole."""
-        save_tensors(self._path, tensors, {"key": self._key, "values": json.dumps(dict(values))})
+        if is_first():
+            save_tensors(self._path, tensors, {"key": self._key, "values": json.dumps(dict(values))})
 
     def clear(self) -> None:
         """Remove the saved state, once the stage's outputs are written."""
         self._path.unlink(missing_ok=True)
+
+    def _read(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
+        if not self._path.exists():
+            return None
+        tensors, texts = load_tensors(self._path)
+        return (tensors, json.loads(texts["values"])) if texts["key"] == self._key else None
 
 
 def restart_key(config: object, inputs: Sequence[Path], seed: int) -> str:

@@ -1,6 +1,7 @@
 """Search for the best pose and shape of each training photograph (paper sections 3.2.1 and 3.2.2).
 
-Candidates are laid out one after the other, each for the whole batch: row `candidate * batch + photograph`.
+Candidates are laid out one after the other, each for the whole batch: row `candidate * batch + photograph`. Processes
+that share a batch draw alike for all of its photographs and keep what belongs to their own.
 """
 
 import math
@@ -13,6 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from pipeline.device import constant
+from pipeline.distributed import share, whole
 from pipeline.errors import ConfigError
 from pipeline.losses.image_distance import Features, feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor
@@ -110,7 +112,7 @@ def candidates(
             _near(record.pose, config.perturbed_poses, config.pose_step, rng),
             _turned(record.pose, config.turned_poses, rng),
             flipped(record.pose, config.flipped_poses),
-            model.poses.draw(config.random_poses * batch, rng).unflatten(0, (config.random_poses, batch)),
+            _random_poses(model, batch, config, rng),
         ]
     )
     poses = model.poses.clamp(poses)
@@ -201,19 +203,25 @@ def _near(
     recorded: Float[Tensor, "B K"], count: int, step: tuple[float, float], rng: torch.Generator
 ) -> Float[Tensor, "count B K"]:
     smallest, largest = step
-    exponent = torch.rand(count, len(recorded), 1, generator=rng, device=rng.device)
+    batch, coordinates = whole(len(recorded)), recorded.shape[1]
+    exponent = torch.rand(count, batch, 1, generator=rng, device=rng.device)
     size = smallest * (largest / smallest) ** exponent
-    return recorded + size * torch.randn(count, *recorded.shape, generator=rng, device=rng.device)
+    return recorded + share(size * torch.randn(count, batch, coordinates, generator=rng, device=rng.device), dim=1)
 
 
 def _turned(recorded: Float[Tensor, "B 7"], count: int, rng: torch.Generator) -> Float[Tensor, "count B 7"]:
-    start = torch.rand(1, len(recorded), generator=rng, device=rng.device)
+    start = share(torch.rand(1, whole(len(recorded)), generator=rng, device=rng.device), dim=1)
     steps = torch.arange(count, device=rng.device)[:, None]
     azimuth = 2 * math.pi * (start + steps) / max(count, 1)
     turn = torch.stack([azimuth.cos(), azimuth.sin()], dim=2)
     return torch.cat([turn, recorded[:, 2:].expand(count, -1, -1)], dim=2)
 
 
+def _random_poses(model: FullModel, batch: int, config: ExplorationConfig, rng: torch.Generator) -> Tensor:
+    drawn = model.poses.draw(config.random_poses * whole(batch), rng)
+    return share(drawn.unflatten(0, (config.random_poses, whole(batch))), dim=1)
+
+
 def _random_shapes(model: FullModel, batch: int, config: ExplorationConfig, rng: torch.Generator) -> Tensor:
-    drawn = model.shapes.draw(config.random_shapes * batch, config.shape_spread, rng)
-    return drawn.unflatten(0, (config.random_shapes, batch))
+    drawn = model.shapes.draw(config.random_shapes * whole(batch), config.shape_spread, rng)
+    return share(drawn.unflatten(0, (config.random_shapes, whole(batch))), dim=1)

@@ -13,6 +13,7 @@ from torch.nn import functional
 from tqdm import tqdm
 
 from pipeline.datasets.images import Images, load_images, place_images
+from pipeline.distributed import agree, average, average_gradients, share, silent
 from pipeline.errors import ConfigError, DataError
 from pipeline.networks.wide_resnet import WideResNet, load_wide_resnet
 from pipeline.seeding import generator, initialised
@@ -65,6 +66,13 @@ class Pictures(NamedTuple):
     labels: Int[Tensor, " N"]
 
 
+class Batch(NamedTuple):
+    """Hold pictures of one iteration, on the device, and what the network must tell of each."""
+
+    images: UInt8[Tensor, "B 3 H W"]
+    labels: Int[Tensor, " B"]
+
+
 def list_categories(folder: Path) -> list[str]:
     """Name the categories of a prepared split in the order of their labels. Raises DataError where there are none."""
     categories = sorted(path.stem for path in folder.glob("*.npy"))
@@ -95,12 +103,13 @@ class FeatureTrainer:
         self.rng = generator(seed, "features", "augmentation", device=device)
         self.loss_sum = torch.zeros((), device=device)
         self.epoch, self.order = -1, torch.zeros(0, dtype=torch.int64, device=device)
+        agree(self.network.state_dict().values())
 
     def parts(self) -> dict[str, nn.Module | torch.optim.Optimizer | torch.Generator | Tensor]:
         """Return what a checkpoint must hold."""
         return {"network": self.network, "optimizer": self.optimizer, "rng": self.rng, "loss_sum": self.loss_sum}
 
-    def batch(self, iteration: int) -> tuple[UInt8[Tensor, "B 3 H W"], Int[Tensor, " B"]]:
+    def batch(self, iteration: int) -> Batch:
         """Draw the iteration's pictures, augmented, and what the network must tell of them."""
         epoch, position = divmod(iteration, self.iterations_per_epoch)
         if epoch != self.epoch:
@@ -109,23 +118,24 @@ class FeatureTrainer:
         index = self.order[position * self.batch_size : (position + 1) * self.batch_size]
         images = crop_and_mirror(self.train.images[index], self.config.crop_margin, self.rng)
         if self.config.method != "rotation":
-            return images, self.train.labels[index]
+            return Batch(images, self.train.labels[index])
         quarters = torch.randint(4, (len(index),), generator=self.rng, device=self.rng.device)
-        return turn(images, quarters), quarters
+        return Batch(turn(images, quarters), quarters)
 
     def step(self, iteration: int) -> None:
         """Take one optimisation step."""
         rate = self.config.learning_rate * one_cycle(iteration, self.iterations, self.config.warm_up)
         for group in self.optimizer.param_groups:
             group["lr"] = rate
-        images, labels = self.batch(iteration)
+        images, labels = share(self.batch(iteration))
         with _precision(images.device, self.config):
             scores = self.network.train(self.config.method != "transfer")(to_float(images))
             loss = functional.cross_entropy(scores, labels, label_smoothing=self.config.label_smoothing)
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
+        average_gradients(self.optimizer)
         self.optimizer.step()
-        self.loss_sum += loss.detach()
+        self.loss_sum += average(loss.detach())
 
 
 def train_features(
@@ -141,7 +151,7 @@ def train_features(
         unpack(tensors, **trainer.parts())
         curve, first = Curve(values["rows"]), values["iteration"]
     for iteration in tqdm(
-        range(first, trainer.iterations), "features", initial=first, total=trainer.iterations, disable=None
+        range(first, trainer.iterations), "features", initial=first, total=trainer.iterations, disable=silent()
     ):
         trainer.step(iteration)
         done = iteration + 1

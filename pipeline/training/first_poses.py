@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 from tqdm import tqdm
 
+from pipeline.distributed import average_gradients, share, silent
 from pipeline.losses.image_distance import pairwise_feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel
@@ -97,8 +98,8 @@ def learn_poses(
     """
     parameters = [*model.pose_encoder.parameters(), *model.pose_decoder.parameters()]
     optimizer = torch.optim.Adam(parameters, lr=warm_up.learning_rate, betas=warm_up.betas)
-    for _ in tqdm(range(config.lessons), "first poses", disable=None):
-        index = torch.randint(len(photographs), (warm_up.batch_size,), generator=rng, device=rng.device)
+    for _ in tqdm(range(config.lessons), "first poses", disable=silent()):
+        index = share(torch.randint(len(photographs), (warm_up.batch_size,), generator=rng, device=rng.device))
         images, wanted = photographs[index].float() / 255, poses[index]
         code = model.pose_encoder(torch.cat([images, images.flip(-1)]))
         wanted = torch.cat([wanted, model.poses.mirror(wanted)])
@@ -106,6 +107,7 @@ def learn_poses(
         loss = heads + (model.pose_decoder(code) - wanted).abs().mean()
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
+        average_gradients(optimizer)
         optimizer.step()
 
 

@@ -9,6 +9,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from pipeline.datasets.images import Images
+from pipeline.distributed import agree, average, average_gradients, gather, share, silent
 from pipeline.files import load_tensors
 from pipeline.geometry.camera import Pose
 from pipeline.geometry.icosphere import icosphere
@@ -100,6 +101,7 @@ class FullTrainer:
         self.rng = generator(seed, "full_training", device=device)
         self.record = first_record(self.model, len(photographs.images), self.rng)
         self.visits = torch.zeros(len(photographs.images), dtype=torch.int64, device=device)
+        agree([*self.model.state_dict().values(), *self.discriminator.state_dict().values()])
 
     def draw(self, iteration: int) -> Int[Tensor, " B"]:
         """Draw different photographs from the first to the i-th, counted from 1 (paper section 3.2.3)."""
@@ -110,19 +112,24 @@ class FullTrainer:
         return order[: config.batch_size]
 
     def step(self, iteration: int) -> dict[str, Float[Tensor, ""]]:
-        """Explore, record, and take one optimisation step; return the terms of the loss, on the device."""
+        """Explore, record, and take one optimisation step; return the terms of the loss, on the device.
+
+        Every process explores for its share of the photographs and records what all of them found.
+        """
         index = self.draw(iteration)
-        images, features = self.photographs.batch(index)
+        own = share(index)
+        images, features = self.photographs.batch(own)
         estimate = self.estimate(images)
         exploration = self.config.exploration if iteration >= self.config.settle else refining(self.config.exploration)
-        best = explore(self.model, self.extractor, features, estimate, self.record.rows(index), exploration, self.rng)
-        self.record.pose[index], self.record.shape[index] = best.record.pose.detach(), best.record.shape.detach()
+        best = explore(self.model, self.extractor, features, estimate, self.record.rows(own), exploration, self.rng)
+        self.record.pose[index], self.record.shape[index] = gather(best.record.pose), gather(best.record.shape)
         self.visits[index] += 1
         losses = self.loss.terms(features, estimate, best, self.rng)
         self.optimizer.zero_grad(set_to_none=True)
         losses["loss"].backward()
+        average_gradients(self.optimizer)
         self.optimizer.step()
-        return {name: loss.detach() for name, loss in losses.items()}
+        return {name: average(loss.detach()) for name, loss in losses.items()}
 
     def start_from(self, scenes: SceneGenerator) -> None:
         """Learn to read the base shape's renderings, and record first poses of the first photographs from them.
@@ -135,6 +142,7 @@ class FullTrainer:
             return
         images = self.photographs.images[: first.photographs]
         poses = first_poses(self.model, scenes, self.extractor, images, first, config.warm_up, self.rng)
+        agree([poses])
         learn_poses(self.model, images, poses, first, config.warm_up, self.rng)
         self.record = Record(torch.cat([poses, self.record.pose[len(poses) :]]), self.record.shape)
 
@@ -207,7 +215,7 @@ def train_full(
         trainer.start_from(scenes)
         checkpoint.save(pack(**trainer.parts()), {"iteration": 0, "rows": [], "recent": []})
     steps = range(first, config.iterations)
-    for iteration in tqdm(steps, "full training", initial=first, total=config.iterations, disable=None):
+    for iteration in tqdm(steps, "full training", initial=first, total=config.iterations, disable=silent()):
         unread.append(trainer.step(iteration))
         if any((iteration + 1) % every == 0 for every in (config.curve_every, config.checkpoint_every)):
             recent, unread = recent + read_losses(unread, iteration), []

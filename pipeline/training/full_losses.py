@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from pipeline.distributed import share, whole
 from pipeline.geometry.topology import topology_of
 from pipeline.losses.feature_matching import feature_matching
 from pipeline.losses.image_distance import Features, feature_distance
@@ -100,7 +101,7 @@ class FullLoss:
         pose networks alone.
         """
         model = self.model
-        drawn = model.poses.draw(len(images), rng)
+        drawn = share(model.poses.draw(whole(len(images)), rng))
         turned = torch.cat([drawn[:, :3], pose[:, 3:].detach()], 1)
         others = model.render(
             Reconstruction(vertices, estimate.texture_maps, model.poses(turned, vertices), estimate.backgrounds)

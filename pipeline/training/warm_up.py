@@ -13,8 +13,10 @@ from jaxtyping import Float
 from torch import Tensor
 from tqdm import tqdm
 
+from pipeline.distributed import average, average_gradients, share, silent
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.networks.scene_generator import SceneGenerator
+from pipeline.rendering.lighting import Light
 from pipeline.rendering.renderer import Mesh, render
 from pipeline.training.checkpoint import read_losses
 from pipeline.training.viewpoints import LightConfig, sample_lights
@@ -39,6 +41,18 @@ class WarmUpConfig:
     noise: float
 
 
+class Draw(NamedTuple):
+    """Everything random about a batch of renderings."""
+
+    pose: Float[Tensor, "B 7"]
+    noise: Float[Tensor, "B Z"]
+    """Of the generators of textures and backgrounds."""
+    shape: Float[Tensor, "B K"]
+    light: Light
+    grain: Float[Tensor, "B 3 H W"]
+    """Added to the pictures."""
+
+
 class Sample(NamedTuple):
     """A batch of renderings and what they show."""
 
@@ -51,40 +65,26 @@ def warm_up(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng:
     """Train every encoder and decoder of the model on renderings. Raises TrainingDiverged as full training does."""
     optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, betas=config.betas)
     losses: list[dict[str, Tensor]] = []
-    for _ in tqdm(range(config.iterations), "warm-up", disable=None):
+    for _ in tqdm(range(config.iterations), "warm-up", disable=silent()):
         loss = warm_up_loss(model, draw_sample(model, scenes, config, rng))
-        losses.append({"loss": loss.detach()})
+        losses.append({"loss": average(loss.detach())})
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
+        average_gradients(optimizer)
         optimizer.step()
     read_losses(losses, config.iterations - 1)
 
 
 def draw_sample(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: torch.Generator) -> Sample:
-    """Render deformed base shapes from random poses."""
-    return render_sample(model, scenes, model.poses.draw(config.batch_size, rng), config, rng)
+    """Render deformed base shapes from random poses: this process's share of the batch."""
+    return _render(model, scenes, share(_draw(model, scenes, model.poses.draw(config.batch_size, rng), config, rng)))
 
 
-@torch.no_grad()
 def render_sample(
     model: FullModel, scenes: SceneGenerator, pose: Float[Tensor, "B 7"], config: WarmUpConfig, rng: torch.Generator
 ) -> Sample:
     """Render deformed base shapes with generated textures and backgrounds and random lights."""
-    count = len(pose)
-    noise = scenes.sample_noise(count, rng)
-    shape = model.shapes.draw(count, config.shape_spread, rng)
-    vertices = model.shapes(shape)
-    images = render(
-        Mesh(vertices, model.faces, model.directions),
-        scenes.texture(noise),
-        model.poses(pose, vertices),
-        scenes.background(noise),
-        sample_lights(config.light, count, rng),
-        model.config.renderer,
-    ).images
-    size = config.noise * torch.rand(count, 1, 1, 1, generator=rng, device=rng.device)
-    images = images + size * torch.randn(images.shape, generator=rng, device=rng.device)
-    return Sample(images.clamp(0, 1), pose, shape)
+    return _render(model, scenes, _draw(model, scenes, pose, config, rng))
 
 
 def warm_up_loss(model: FullModel, sample: Sample) -> Float[Tensor, ""]:
@@ -107,3 +107,29 @@ def warm_up_loss(model: FullModel, sample: Sample) -> Float[Tensor, ""]:
         )
     )
     return heads + student + shapes + (drawn - images).abs().mean()
+
+
+def _draw(
+    model: FullModel, scenes: SceneGenerator, pose: Float[Tensor, "B 7"], config: WarmUpConfig, rng: torch.Generator
+) -> Draw:
+    count, size = len(pose), model.config.renderer.size
+    noise = scenes.sample_noise(count, rng)
+    shape = model.shapes.draw(count, config.shape_spread, rng)
+    light = sample_lights(config.light, count, rng)
+    deviation = config.noise * torch.rand(count, 1, 1, 1, generator=rng, device=rng.device)
+    grain = deviation * torch.randn(count, 3, size, size, generator=rng, device=rng.device)
+    return Draw(pose, noise, shape, light, grain)
+
+
+@torch.no_grad()
+def _render(model: FullModel, scenes: SceneGenerator, drawn: Draw) -> Sample:
+    vertices = model.shapes(drawn.shape)
+    images = render(
+        Mesh(vertices, model.faces, model.directions),
+        scenes.texture(drawn.noise),
+        model.poses(drawn.pose, vertices),
+        scenes.background(drawn.noise),
+        drawn.light,
+        model.config.renderer,
+    ).images
+    return Sample((images + drawn.grain).clamp(0, 1), drawn.pose, drawn.shape)

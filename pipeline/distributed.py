@@ -1,0 +1,165 @@
+"""Share one training among processes.
+
+Every process holds the whole state: weights, records and random generators, which are the same in all of them. Each
+draws for the whole batch, takes its share of what was drawn, and takes the same step, because gradients are averaged
+over the processes first. Where there is one process, the functions here return what they are given.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from typing import Any, NamedTuple, TypeVar
+
+import torch
+import torch.distributed as dist
+from jaxtyping import Float
+from torch import Tensor
+
+from pipeline.errors import ConfigError
+
+Batch = TypeVar("Batch", bound=Tensor | tuple[Any, ...])
+Value = TypeVar("Value")
+
+_is_alone: ContextVar[bool] = ContextVar("is_alone", default=False)
+
+
+class World(NamedTuple):
+    """The processes that share a training, and which of them this one is."""
+
+    rank: int
+    size: int
+
+
+def world() -> World:
+    """Return this process's number, from 0, and how many there are: `World(0, 1)` where nothing is shared."""
+    if _is_alone.get() or not dist.is_initialized():
+        return World(0, 1)
+    return World(dist.get_rank(), dist.get_world_size())
+
+
+def is_first() -> bool:
+    """Tell whether this is the process that writes files."""
+    return world().rank == 0
+
+
+def silent() -> bool | None:
+    """Return tqdm's `disable`: the first process shows progress where there is a terminal, the others never do."""
+    return True if dist.is_initialized() and dist.get_rank() > 0 else None
+
+
+def whole(count: int) -> int:
+    """Return the size of the batch of which every process holds `count`."""
+    return count * world().size
+
+
+def share(batch: Batch, dim: int = 0) -> Batch:
+    """Take this process's part of a batch along a dimension; of a named tuple, each entry's.
+
+    Raises ConfigError for a batch that cannot be divided evenly.
+    """
+    rank, size = world()
+    if size == 1:
+        return batch
+    if isinstance(batch, tuple):
+        return type(batch)(*(share(entry, dim) for entry in batch))
+    if batch.shape[dim] % size:
+        raise ConfigError(
+            f"a batch of {batch.shape[dim]} cannot be shared by {size} processes; set batch sizes to multiples of "
+            f"{size}, or processes to a divisor of them"
+        )
+    return batch.chunk(size, dim)[rank]  # pyright: ignore[reportReturnType]
+
+
+def gather(tensor: Tensor) -> Tensor:
+    """Put the processes' parts of a batch together again, along the first dimension; without gradients."""
+    if world().size == 1:
+        return tensor.detach()
+    parts = [torch.zeros_like(tensor, memory_format=torch.contiguous_format) for _ in range(world().size)]
+    dist.all_gather(parts, tensor.detach().contiguous())
+    return torch.cat(parts)
+
+
+def average(tensor: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+    """Average a tensor over the processes.
+
+    Gradients flow to every process's tensor, such that the averages of parameters' gradients are those of the average
+    of all processes' losses.
+    """
+    if world().size == 1:
+        return tensor
+    total = _Sum.apply(tensor)
+    assert isinstance(total, Tensor)
+    return total / world().size
+
+
+def average_gradients(optimizer: torch.optim.Optimizer) -> None:
+    """Average the gradients of an optimiser's parameters over the processes, between backward pass and step."""
+    if world().size == 1:
+        return
+    parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
+    gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
+    averages = average(torch.cat([gradient.flatten() for gradient in gradients]))
+    for gradient, part in zip(gradients, averages.split([gradient.numel() for gradient in gradients]), strict=True):
+        gradient.copy_(part.view_as(gradient))
+
+
+def agree(tensors: Iterable[Tensor]) -> None:
+    """Overwrite tensors by those of the first process: what a device rounds differently must not drift apart."""
+    if world().size == 1:
+        return
+    for tensor in tensors:
+        value = tensor.detach().contiguous()
+        dist.broadcast(value, 0)
+        tensor.detach().copy_(value)
+
+
+def from_first(value: Value) -> Value:
+    """Return the first process's value; its tensors must be on the CPU."""
+    if world().size == 1:
+        return value
+    values: list[Any] = [value]
+    dist.broadcast_object_list(values, 0)
+    return values[0]
+
+
+def divide(function: Callable[[int], Value], count: int) -> list[Value]:
+    """Return what a function gives for every number below `count`; tensors in it must be on the CPU.
+
+    Processes take the numbers in turn and each works alone, so that the results are those of a single process. On one
+    number alone they all work together.
+    """
+    rank, size = world()
+    if count == 1:
+        return [function(0)]
+    with _alone():
+        own = {number: function(number) for number in range(rank, count, size)}
+    found: list[Any] = [own]
+    if size > 1:
+        found = [None] * size
+        dist.all_gather_object(found, own)
+    results = {number: result for part in found for number, result in part.items()}
+    return [results[number] for number in range(count)]
+
+
+@contextmanager
+def _alone() -> Iterator[None]:
+    """Let this process work inside the block as if it were the only one."""
+    token = _is_alone.set(True)
+    try:
+        yield
+    finally:
+        _is_alone.reset(token)
+
+
+class _Sum(torch.autograd.Function):
+    """Add a tensor up over the processes; backward, the gradients of all processes' losses."""
+
+    @staticmethod
+    def forward(_context: Any, tensor: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+        total = tensor.clone(memory_format=torch.contiguous_format)
+        dist.all_reduce(total)
+        return total
+
+    @staticmethod
+    def backward(context: Any, gradient: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return _Sum.forward(context, gradient)

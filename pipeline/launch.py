@@ -1,0 +1,110 @@
+"""Start the processes that share a training (see `pipeline.distributed`), or join those that torchrun started."""
+
+import multiprocessing
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import timedelta
+from multiprocessing.queues import SimpleQueue
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import torch
+import torch.distributed as dist
+from torch.multiprocessing.spawn import ProcessException, ProcessExitedException, spawn
+
+from pipeline.errors import ConfigError, ProcessKilled, UserError
+
+_GRACE = 5.0
+"""Seconds that processes have to end by themselves after another one has failed."""
+_PATIENCE = timedelta(days=7)
+"""How long a process waits for another, which may have hours of work left; one that died is noticed at once."""
+
+
+def share_work(processes: object, device: torch.device, function: Callable[..., None], *arguments: object) -> None:
+    """Call a function in every process that shares its work.
+
+    With one process it is called here. More of them are started on this machine, each on a GPU of its own where the
+    device is one; threads are divided among them, and the function must be importable and its arguments picklable.
+    Under torchrun this process is one of the group already, on any number of hosts, and `processes` is not used.
+
+    When any process ends before its work is done, all do. Raises the UserError or FileNotFoundError of the first one
+    that had one, ProcessKilled where one was killed, and ConfigError unless `processes` is a number from 1.
+    """
+    if type(processes) is not int or processes < 1:
+        raise ConfigError(f"processes is {processes!r}; expected a whole number from 1")
+    if dist.is_torchelastic_launched():
+        _work(int(os.environ["LOCAL_RANK"]), device, {}, function, arguments)
+    elif processes == 1:
+        function(*arguments)
+    else:
+        with TemporaryDirectory() as folder, _divided_threads(processes):
+            _start(processes, device, f"file://{Path(folder) / 'meeting'}", function, arguments)
+
+
+def _start(
+    processes: int, device: torch.device, meeting: str, function: Callable[..., None], arguments: tuple[object, ...]
+) -> None:
+    errors: SimpleQueue[Exception] = multiprocessing.get_context("spawn").SimpleQueue()
+    context = spawn(_started, (processes, device, meeting, errors, function, arguments), processes, join=False)
+    assert context is not None
+    try:
+        while not context.join(grace_period=_GRACE):
+            pass
+    except ProcessException as error:
+        if not errors.empty():
+            raise errors.get() from None
+        if isinstance(error, ProcessExitedException) and error.exit_code == -signal.SIGKILL:
+            raise ProcessKilled(
+                f"process {error.error_index} of {processes} was killed, perhaps for want of memory, and the others "
+                "were stopped; run the same command again: it goes on from the last restart state"
+            ) from None
+        raise
+
+
+def _started(
+    rank: int,
+    processes: int,
+    device: torch.device,
+    meeting: str,
+    errors: "SimpleQueue[Exception]",
+    function: Callable[..., None],
+    arguments: tuple[object, ...],
+) -> None:
+    group = {"init_method": meeting, "rank": rank, "world_size": processes}
+    try:
+        _work(rank, device, group, function, arguments)
+    except (UserError, FileNotFoundError) as error:
+        errors.put(error)
+        sys.exit(1)
+
+
+def _work(
+    local_rank: int,
+    device: torch.device,
+    group: dict[str, Any],
+    function: Callable[..., None],
+    arguments: tuple[object, ...],
+) -> None:
+    """Join the group, take the GPU of this process, and work."""
+    if device.type == "cuda":
+        torch.cuda.set_device(local_rank % torch.cuda.device_count())
+    dist.init_process_group("cpu:gloo,cuda:nccl" if device.type == "cuda" else "gloo", timeout=_PATIENCE, **group)
+    function(*arguments)
+    dist.destroy_process_group()
+
+
+@contextmanager
+def _divided_threads(processes: int) -> Iterator[None]:
+    """Let the processes started inside the block have equal parts of this one's threads."""
+    threads = str(max(1, torch.get_num_threads() // processes))
+    before = dict(os.environ)
+    os.environ.update(OMP_NUM_THREADS=threads, NUMBA_NUM_THREADS=threads)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)

@@ -1,0 +1,63 @@
+"""Two processes that share a training do what one does, hold the same state, and resume when one was killed."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from pipeline.errors import ConfigError, ProcessKilled
+from pipeline.files import load_tensors
+from pipeline.launch import share_work
+from tests.shared_trainings import take_steps, train
+
+CPU = torch.device("cpu")
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("one")
+    share_work(1, CPU, take_steps, folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("two")
+    share_work(2, CPU, take_steps, folder)
+    return folder
+
+
+def test_steps_are_those_of_a_single_process(one: Path, two: Path) -> None:
+    alone, _ = load_tensors(one / "0.safetensors")
+    shared, _ = load_tensors(two / "0.safetensors")
+    assert alone.keys() == shared.keys()
+    for name, value in alone.items():
+        torch.testing.assert_close(
+            shared[name], value, rtol=1e-5, atol=1e-5, msg=lambda text, name=name: f"{name}: {text}"
+        )
+
+
+def test_every_process_holds_the_same_state(two: Path) -> None:
+    assert (two / "0.safetensors").read_bytes() == (two / "1.safetensors").read_bytes()
+
+
+def test_seeds_learned_side_by_side_are_those_learned_in_turn(one: Path, two: Path) -> None:
+    assert (two / "seeds.safetensors").read_bytes() == (one / "seeds.safetensors").read_bytes()
+
+
+def test_a_killed_process_ends_the_training_which_resumes_to_the_same_bytes(two: Path, tmp_path: Path) -> None:
+    with pytest.raises(ProcessKilled, match="process 1 of 2 was killed"):
+        share_work(2, CPU, train, tmp_path, 1)
+    assert (tmp_path / "full" / "state.safetensors").exists()
+    assert not (tmp_path / "full.safetensors").exists()
+    share_work(2, CPU, train, tmp_path, None)
+    for name in ("full.safetensors", "full.csv"):
+        assert (tmp_path / name).read_bytes() == (two / name).read_bytes()
+
+
+@pytest.mark.parametrize("processes", [0, True, "2"])
+def test_the_number_of_processes_is_checked(processes: object) -> None:
+    with pytest.raises(ConfigError, match="expected a whole number from 1"):
+        share_work(processes, CPU, print)

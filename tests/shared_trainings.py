@@ -1,0 +1,98 @@
+"""What the tests of shared trainings run in every process: a few steps of each training, on tiny models."""
+
+import os
+import signal
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from pipeline.distributed import is_first, world
+from pipeline.files import save_tensors
+from pipeline.networks.wide_resnet import extract
+from pipeline.training import base_shape
+from pipeline.training.base_shape import SeedTrainer, build_sphere, learn_base_shape
+from pipeline.training.checkpoint import Checkpoint
+from pipeline.training.features import FeatureTrainer
+from pipeline.training.full import FullTrainer, Photographs, train_full
+from tests.learning import test_base_shape, test_train_features
+from tests.tiny_full_model import TRAINING, base_mesh, photographs, tiny_extractor, tiny_scenes
+
+SEEDS = replace(test_base_shape.CONFIG, seeds=3, iterations=2)
+
+
+def take_steps(folder: Path) -> None:
+    """Take two steps of each training, three of full training; write what every process holds then."""
+    state = {**_features(), **_base_shape(), **_full()}
+    save_tensors(folder / f"{world().rank}.safetensors", state, {})
+    learn_seeds(folder)
+    train(folder, None)
+
+
+def learn_seeds(folder: Path) -> None:
+    """Learn base shapes from three seeds; the first process writes them."""
+    images, _ = photographs(8)
+    shapes = learn_base_shape(SEEDS, images[:, :, ::2, ::2], tiny_extractor(), 0, folder / "seeds", "key")
+    if is_first():
+        tensors = {"vertices": shapes.vertices, "scores": shapes.scores, **shapes.generator.state_dict()}
+        save_tensors(folder / "seeds.safetensors", tensors, {"curve": str(shapes.curve.rows)})
+
+
+def train(folder: Path, dying: int | None) -> None:
+    """Train the full model; the first process writes it. Process `dying` kills itself before the last step."""
+    step = FullTrainer.step
+
+    def deadly(trainer: FullTrainer, iteration: int) -> dict[str, float]:
+        if iteration == TRAINING.iterations - 1:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return step(trainer, iteration)
+
+    if world().rank == dying:
+        FullTrainer.step = deadly
+    images, _ = photographs(8)
+    checkpoint = Checkpoint(folder / "full", "key")
+    trainer, curve = train_full(TRAINING, images, tiny_extractor(), base_mesh(), tiny_scenes(), 0, checkpoint)
+    if is_first():
+        save_tensors(folder / "full.safetensors", {**trainer.model.state_dict(), "pose": trainer.record.pose}, {})
+        curve.write(folder / "full.csv")
+
+
+def _features() -> dict[str, Tensor]:
+    config = replace(test_train_features.CONFIG, batch_size=16)
+    trainer = FeatureTrainer(config, test_train_features.bars(32, 0), test_train_features.NO_WEIGHTS, 0)
+    for iteration in range(2):
+        trainer.step(iteration)
+    return {**_weights("features", trainer.network), "features.loss": trainer.loss_sum}
+
+
+def _base_shape() -> dict[str, Tensor]:
+    images, _ = photographs(8)
+    config, extractor = test_base_shape.CONFIG, tiny_extractor()
+    real = base_shape.Photographs(extract(extractor, images[:, :, ::2, ::2], 4))
+    trainer = SeedTrainer(config, build_sphere(config.subdivisions, torch.device("cpu")), real, extractor, 0, 0)
+    losses = [*trainer.step(0).values(), *trainer.step(1).values(), trainer.score()]
+    return {**_weights("base", trainer.scene), "base.losses": torch.tensor(losses), "base.shape": trainer.shape()}
+
+
+def _full() -> dict[str, Tensor]:
+    images, _ = photographs(8)
+    extractor = tiny_extractor()
+    trainer = FullTrainer(TRAINING, Photographs(images, extract(extractor, images, 8)), extractor, base_mesh(), 0)
+    trainer.start_from(tiny_scenes())
+    losses = [list(trainer.step(iteration).values()) for iteration in range(3)]
+    return {
+        **_weights("full", trainer.model),
+        **_weights("discriminator", trainer.discriminator),
+        "full.losses": torch.tensor(losses),
+        "record.pose": trainer.record.pose,
+        "record.shape": trainer.record.shape,
+        "record.visits": trainer.visits,
+    }
+
+
+def _weights(name: str, module: nn.Module) -> dict[str, Tensor]:
+    """Return parameters, buffers and the gradients of the last step."""
+    gradients = {f"gradient {entry}": value.grad for entry, value in module.named_parameters()}
+    tensors = {**module.state_dict(), **{entry: value for entry, value in gradients.items() if value is not None}}
+    return {f"{name} {entry}": value for entry, value in tensors.items()}
