@@ -15,7 +15,9 @@ from pipeline.training import base_shape
 from pipeline.training.base_shape import SeedTrainer, build_sphere, learn_base_shape
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.features import FeatureTrainer
+from pipeline.training.first_poses import learn_poses
 from pipeline.training.full import FullTrainer, Photographs, train_full
+from pipeline.training.warm_up import warm_up
 from tests.learning import test_base_shape, test_train_features
 from tests.tiny_full_model import TRAINING, base_mesh, photographs, tiny_extractor, tiny_scenes
 
@@ -23,8 +25,8 @@ SEEDS = replace(test_base_shape.CONFIG, seeds=3, iterations=2)
 
 
 def take_steps(folder: Path) -> None:
-    """Take two steps of each training, three of full training; write what every process holds then."""
-    state = {**_features(), **_base_shape(), **_full()}
+    """Take steps of each training and write what every process holds then; learn seeds; train the full model."""
+    state = {**_features(), **_base_shape(), **_warm_up(), **_full()}
     save_tensors(folder / f"{world().rank}.safetensors", state, {})
     learn_seeds(folder)
     train(folder, None)
@@ -75,12 +77,19 @@ def _base_shape() -> dict[str, Tensor]:
     return {**_weights("base", trainer.scene), "base.losses": torch.tensor(losses), "base.shape": trainer.shape()}
 
 
+def _warm_up() -> dict[str, Tensor]:
+    trainer, (images, poses) = _full_trainer(), photographs(8)
+    warm_up(trainer.model, tiny_scenes(), TRAINING.warm_up, trainer.rng)
+    warmed_up = _weights("warm-up", trainer.model)
+    trainer = _full_trainer()
+    learn_poses(trainer.model, images, poses, TRAINING.first_poses, TRAINING.warm_up, trainer.rng)
+    return {**warmed_up, **_weights("lessons", trainer.model)}
+
+
 def _full() -> dict[str, Tensor]:
-    images, _ = photographs(8)
-    extractor = tiny_extractor()
-    trainer = FullTrainer(TRAINING, Photographs(images, extract(extractor, images, 8)), extractor, base_mesh(), 0)
-    trainer.start_from(tiny_scenes())
-    losses = [list(trainer.step(iteration).values()) for iteration in range(3)]
+    """Take one step near the record and one that tries everything."""
+    trainer = _full_trainer()
+    losses = [list(trainer.step(iteration).values()) for iteration in (0, TRAINING.settle)]
     return {
         **_weights("full", trainer.model),
         **_weights("discriminator", trainer.discriminator),
@@ -91,8 +100,14 @@ def _full() -> dict[str, Tensor]:
     }
 
 
+def _full_trainer() -> FullTrainer:
+    images, _ = photographs(8)
+    extractor = tiny_extractor()
+    return FullTrainer(TRAINING, Photographs(images, extract(extractor, images, 8)), extractor, base_mesh(), 0)
+
+
 def _weights(name: str, module: nn.Module) -> dict[str, Tensor]:
     """Return parameters, buffers and the gradients of the last step."""
     gradients = {f"gradient {entry}": value.grad for entry, value in module.named_parameters()}
     tensors = {**module.state_dict(), **{entry: value for entry, value in gradients.items() if value is not None}}
-    return {f"{name} {entry}": value for entry, value in tensors.items()}
+    return {f"{name} {entry}": value.clone() for entry, value in tensors.items()}

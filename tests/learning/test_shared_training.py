@@ -1,5 +1,6 @@
 """Two processes that share a training do what one does, hold the same state, and resume when one was killed."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -9,8 +10,13 @@ from pipeline.errors import ConfigError, ProcessKilled
 from pipeline.files import load_tensors
 from pipeline.launch import share_work
 from tests.shared_trainings import take_steps, train
+from tests.tiny_full_model import TRAINING
 
 CPU = torch.device("cpu")
+
+# Biases before a batch normalisation, and the running means that follow them, change nothing: their gradients are zero
+# but for rounding, which Adam enlarges.
+WITHOUT_EFFECT = re.compile(r"(?<!gradient )(texture_decoder.image|texture.weights)\.(blocks\S*bias|\S*running_mean)")
 
 pytestmark = pytest.mark.slow
 
@@ -33,10 +39,15 @@ def test_steps_are_those_of_a_single_process(one: Path, two: Path) -> None:
     alone, _ = load_tensors(one / "0.safetensors")
     shared, _ = load_tensors(two / "0.safetensors")
     assert alone.keys() == shared.keys()
-    for name, value in alone.items():
-        torch.testing.assert_close(
-            shared[name], value, rtol=1e-5, atol=1e-5, msg=lambda text, name=name: f"{name}: {text}"
-        )
+    difference = {name: _difference(alone[name], shared[name]) for name in alone if not WITHOUT_EFFECT.search(name)}
+    assert {name: value for name, value in difference.items() if value > 1e-5} == {}
+    assert alone["record.visits"].sum() == 2 * TRAINING.batch_size
+
+
+def _difference(alone: torch.Tensor, shared: torch.Tensor) -> float:
+    """Return the largest difference, in units of the largest value where that is above 1."""
+    alone, shared = alone.double(), shared.double()
+    return ((alone - shared).abs().amax() / alone.abs().amax().clamp(min=1)).item()
 
 
 def test_every_process_holds_the_same_state(two: Path) -> None:

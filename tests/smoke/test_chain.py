@@ -81,6 +81,19 @@ def test_a_killed_training_resumes_to_the_same_bytes(project: Path, stage: str, 
         assert path.read_bytes() == (project / word).read_bytes(), word
 
 
+def test_seeds_in_two_processes_write_the_same_bytes(project: Path, tmp_path: Path) -> None:
+    params = read_params(project)
+    params["processes"]["learn_base_shape"] = 2
+    write_params(tmp_path, params)
+    command = commands(project)["learn_base_shape"]
+    written = {word: tmp_path / word for option, word in pairwise(command) if _writes(option)}
+    command = [str(written.get(word, word)) for word in command]
+    command[command.index("--params") + 1] = str(tmp_path / "params.yaml")
+    run(project, *command)
+    for word, path in written.items():
+        assert path.read_bytes() == (project / word).read_bytes(), word
+
+
 def _restart_states(folder: Path) -> list[Path]:
     return list(folder.rglob("state.safetensors"))
 
