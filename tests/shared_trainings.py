@@ -45,10 +45,10 @@ def train(folder: Path, dying: int | None) -> None:
     """Train the full model; the first process writes it. Process `dying` kills itself before the last step."""
     step = FullTrainer.step
 
-    def deadly(trainer: FullTrainer, iteration: int) -> dict[str, float]:
+    def deadly(self: FullTrainer, iteration: int) -> dict[str, float]:
         if iteration == TRAINING.iterations - 1:
             os.kill(os.getpid(), signal.SIGKILL)
-        return step(trainer, iteration)
+        return step(self, iteration)
 
     if world().rank == dying:
         FullTrainer.step = deadly
