@@ -13,14 +13,16 @@ import pytest
 import torch
 from pytest_benchmark.fixture import BenchmarkFixture
 
-from benchmarks.bench_training import PARAMETERS, laptop_trainer
+from benchmarks.bench_training import PARAMETERS, trainer_of
 from pipeline.config import load
 from pipeline.distributed import divide, is_first
 from pipeline.files import read_json, write_json
 from pipeline.launch import share_work
-from pipeline.networks.wide_resnet import FeatureExtractor, WideResNet, extract
+from pipeline.networks.feature_extractor import FeatureExtractor
+from pipeline.networks.wide_resnet import WideResNet
 from pipeline.seeding import generator, initialised
-from pipeline.training.base_shape import BaseShapeConfig, Photographs, SeedTrainer, build_sphere
+from pipeline.training.base_shape import BaseShapeConfig, SeedTrainer, build_sphere
+from pipeline.training.photographs import Photographs
 
 SECTIONS = ("learn_base_shape", "rows.toybox-car.learn_base_shape", "sizes.laptop.learn_base_shape")
 ORDER = (1, 2, 2, 1)
@@ -29,10 +31,10 @@ STEPS = 3
 
 def share_batches(out: Path) -> None:
     """Time steps of full training whose batches the processes share."""
-    trainer = laptop_trainer()
+    trainer = trainer_of("laptop")
     trainer.step(0)
     start = perf_counter()
-    losses = [trainer.step(iteration)["loss"] for iteration in range(1, 1 + STEPS)]
+    losses = [trainer.step(iteration)["loss"].item() for iteration in range(1, 1 + STEPS)]
     _write(out, start, losses)
 
 
@@ -42,14 +44,14 @@ def divide_seeds(out: Path) -> None:
     with initialised(0):
         extractor = FeatureExtractor(WideResNet(16, 2, 4), color_weight=20.0)
     pictures = torch.randint(0, 256, (256, 3, 32, 32), generator=generator(0)).to(torch.uint8)
-    photographs = Photographs(extract(extractor, pictures, 64))
+    photographs = Photographs(pictures, extractor, 64, memory=2**30)
     sphere = build_sphere(config.subdivisions, torch.device("cpu"))
 
     def learn(index: int) -> float:
         trainer = SeedTrainer(config, sphere, photographs, extractor, 0, index)
-        return [trainer.step(iteration)["reconstruction"] for iteration in range(STEPS)][-1]
+        return [trainer.step()["reconstruction"] for _ in range(STEPS)][-1].item()
 
-    divide(lambda _: SeedTrainer(config, sphere, photographs, extractor, 1, 0).step(0), 2)
+    divide(lambda _: SeedTrainer(config, sphere, photographs, extractor, 1, 0).step(), 2)
     start = perf_counter()
     _write(out, start, divide(learn, 2))
 

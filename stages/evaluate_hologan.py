@@ -10,8 +10,8 @@ from pipeline.evaluation.multiview import multiview_figures
 from pipeline.evaluation.tables import format_figures
 from pipeline.export.picture import enlarge, tile, write_png
 from pipeline.files import write_json
+from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.hologan import draw_views, load_hologan
-from pipeline.networks.wide_resnet import load_feature_extractor
 from pipeline.seeding import generator
 from stages.command_line import parse, run
 

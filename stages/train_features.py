@@ -3,6 +3,8 @@
 from argparse import Namespace
 from pathlib import Path
 
+import torch
+
 from pipeline.config import load, scalar
 from pipeline.device import resolve_device, resolve_memory
 from pipeline.distributed import is_first

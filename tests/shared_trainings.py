@@ -10,17 +10,17 @@ from torch import Tensor, nn
 
 from pipeline.distributed import is_first, world
 from pipeline.files import save_tensors
-from pipeline.networks.wide_resnet import extract
-from pipeline.training import base_shape
 from pipeline.training.base_shape import SeedTrainer, build_sphere, learn_base_shape
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.features import FeatureTrainer
 from pipeline.training.first_poses import learn_poses
-from pipeline.training.full import FullTrainer, Photographs, train_full
+from pipeline.training.full import FullTrainer, train_full
+from pipeline.training.photographs import Photographs
 from pipeline.training.warm_up import warm_up
 from tests.learning import test_base_shape, test_train_features
 from tests.tiny_full_model import TRAINING, base_mesh, photographs, tiny_extractor, tiny_scenes
 
+MEMORY = 2**30
 SEEDS = replace(test_base_shape.CONFIG, seeds=3, iterations=2)
 
 
@@ -35,7 +35,7 @@ def take_steps(folder: Path) -> None:
 def learn_seeds(folder: Path) -> None:
     """Learn base shapes from three seeds; the first process writes them."""
     images, _ = photographs(8)
-    shapes = learn_base_shape(SEEDS, images[:, :, ::2, ::2], tiny_extractor(), 0, folder / "seeds", "key")
+    shapes = learn_base_shape(SEEDS, images[:, :, ::2, ::2], MEMORY, tiny_extractor(), 0, folder / "seeds", "key")
     if is_first():
         tensors = {"vertices": shapes.vertices, "scores": shapes.scores, **shapes.generator.state_dict()}
         save_tensors(folder / "seeds.safetensors", tensors, {"curve": str(shapes.curve.rows)})
@@ -45,7 +45,7 @@ def train(folder: Path, dying: int | None) -> None:
     """Train the full model; the first process writes it. Process `dying` kills itself before the last step."""
     step = FullTrainer.step
 
-    def deadly(self: FullTrainer, iteration: int) -> dict[str, float]:
+    def deadly(self: FullTrainer, iteration: int) -> dict[str, Tensor]:
         if iteration == TRAINING.iterations - 1:
             os.kill(os.getpid(), signal.SIGKILL)
         return step(self, iteration)
@@ -54,7 +54,7 @@ def train(folder: Path, dying: int | None) -> None:
         FullTrainer.step = deadly
     images, _ = photographs(8)
     checkpoint = Checkpoint(folder / "full", "key")
-    trainer, curve = train_full(TRAINING, images, tiny_extractor(), base_mesh(), tiny_scenes(), 0, checkpoint)
+    trainer, curve = train_full(TRAINING, images, MEMORY, tiny_extractor(), base_mesh(), tiny_scenes(), 0, checkpoint)
     if is_first():
         save_tensors(folder / "full.safetensors", {**trainer.model.state_dict(), "pose": trainer.record.pose}, {})
         curve.write(folder / "full.csv")
@@ -71,9 +71,9 @@ def _features() -> dict[str, Tensor]:
 def _base_shape() -> dict[str, Tensor]:
     images, _ = photographs(8)
     config, extractor = test_base_shape.CONFIG, tiny_extractor()
-    real = base_shape.Photographs(extract(extractor, images[:, :, ::2, ::2], 4))
+    real = Photographs(images[:, :, ::2, ::2], extractor, 4, MEMORY)
     trainer = SeedTrainer(config, build_sphere(config.subdivisions, torch.device("cpu")), real, extractor, 0, 0)
-    losses = [*trainer.step(0).values(), *trainer.step(1).values(), trainer.score()]
+    losses = [*trainer.step().values(), *trainer.step().values(), trainer.score()]
     return {**_weights("base", trainer.scene), "base.losses": torch.tensor(losses), "base.shape": trainer.shape()}
 
 
@@ -82,6 +82,7 @@ def _warm_up() -> dict[str, Tensor]:
     warm_up(trainer.model, tiny_scenes(), TRAINING.warm_up, trainer.rng)
     warmed_up = _weights("warm-up", trainer.model)
     trainer = _full_trainer()
+    assert TRAINING.first_poses is not None
     learn_poses(trainer.model, images, poses, TRAINING.first_poses, TRAINING.warm_up, trainer.rng)
     return {**warmed_up, **_weights("lessons", trainer.model)}
 
@@ -103,7 +104,7 @@ def _full() -> dict[str, Tensor]:
 def _full_trainer() -> FullTrainer:
     images, _ = photographs(8)
     extractor = tiny_extractor()
-    return FullTrainer(TRAINING, Photographs(images, extract(extractor, images, 8)), extractor, base_mesh(), 0)
+    return FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
 
 
 def _weights(name: str, module: nn.Module) -> dict[str, Tensor]:

@@ -20,9 +20,9 @@ from pipeline.evaluation.pose import ACCURATE
 from pipeline.evaluation.statistics import mean_figure
 from pipeline.geometry.camera import Pose
 from pipeline.losses.image_distance import feature_distance
+from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_coordinates import fill_picture
-from pipeline.networks.wide_resnet import FeatureExtractor
 from pipeline.rendering.renderer import Mesh, render
 
 GRID = 4

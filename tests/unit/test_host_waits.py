@@ -16,10 +16,8 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from pipeline.geometry.camera import CameraConfig
 from pipeline.geometry.icosphere import icosphere
-from pipeline.networks.wide_resnet import extract
 from pipeline.rendering.renderer import Mesh, RendererConfig
 from pipeline.seeding import generator
-from pipeline.training.base_shape import Photographs as FeaturesOfPhotographs
 from pipeline.training.base_shape import SeedTrainer, build_sphere
 from pipeline.training.full import FullTrainer, Photographs
 from pipeline.training.warm_up import draw_sample, warm_up_loss
@@ -92,7 +90,7 @@ def full_trainer() -> FullTrainer:
     images = photographs(4)[0][..., ::4, ::4].to(DEVICE)
     directions, faces = (part.to(DEVICE) for part in icosphere(1))
     extractor, base = tiny_extractor().to(DEVICE), Mesh(directions[None] / 2, faces, directions)
-    return FullTrainer(config, Photographs(images, extract(extractor, images, 4)), extractor, base, 0)
+    return FullTrainer(config, Photographs(images, extractor, 4, memory=2**30), extractor, base, 0)
 
 
 @pytest.mark.parametrize(
@@ -127,7 +125,7 @@ def test_an_iteration_of_base_shape_learning_waits_for_nothing(monkeypatch: pyte
     config = replace(BASE_SHAPE, batch_size=2)
     extractor = tiny_extractor().to(DEVICE)
     images = photographs(4)[0][..., ::2, ::2].to(DEVICE)
-    features = FeaturesOfPhotographs(extract(extractor, images, 4))
+    features = Photographs(images, extractor, 4, memory=2**30)
     trainer = SeedTrainer(config, build_sphere(config.subdivisions, DEVICE), features, extractor, 0, 0)
     trainer.step()
     draw_with_triton(monkeypatch)
