@@ -68,7 +68,7 @@ def render_views(found: Reconstructions, model: FullModel, config: MultiviewConf
     pose = Pose(*(values[chosen] for values in found.tuned.pose))
     pose = pose._replace(elevation=torch.full_like(pose.elevation, math.radians(config.elevation)))
     mesh = Mesh(found.tuned.vertices[chosen], found.faces, found.directions)
-    backgrounds = found.tuned.backgrounds[chosen][..., None].expand(-1, -1, -1, renderer.size)
+    backgrounds = found.tuned.backgrounds[chosen]
     views = []
     for azimuth in config.azimuths():
         turned = pose._replace(azimuth=azimuth.expand_as(pose.azimuth))
