@@ -130,11 +130,11 @@ def train_hologan(
         trainer.step(iteration)
         done = iteration + 1
         if done % config.curve_every == 0:
-            require_finite(trainer.losses, iteration)
+            require_finite(trainer.losses.sum(), iteration)
             means = (trainer.losses / config.curve_every).tolist()
             curve.append(done, **dict(zip(("discriminator", "generator", "identity"), means, strict=True)))
             trainer.losses.zero_()
         if done % config.checkpoint_every == 0:
-            require_finite(trainer.losses, iteration)
+            require_finite(trainer.losses.sum(), iteration)
             checkpoint.save(pack(**trainer.parts()), {"iteration": done, "rows": curve.rows})
     return trainer.generator, curve
