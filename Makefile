@@ -3,6 +3,7 @@ SHELL := /bin/bash
 PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
+TOOLS := .venv/.tools_installed
 # The stages' commands in dvc.yaml call `python`.
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 # Threads that wait should sleep: on a busy machine spinning ones make every step many times slower.
@@ -13,28 +14,28 @@ export OMP_WAIT_POLICY := PASSIVE
 repro: $(STAMP)  ## run the pipeline: by default the toybox car, from pictures to a page
 	dvc repro
 
-run: $(STAMP)  ## turn a row of the paper on and run it: ROW= SIZE=laptop|paper SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASELINE=
+run: $(if $(BASELINE),$(TOOLS),$(STAMP))  ## turn a row of the paper on and run it: ROW= SIZE=laptop|paper SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASELINE=
 	python -m stages.run_row $(foreach option,ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASELINE,$(if $($(option)),--$(shell echo $(option) | tr A-Z a-z) "$($(option))"))
 
-test: $(STAMP)  ## the whole test suite
+test: $(TOOLS)  ## the whole test suite
 	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 pytest
 
-check: $(STAMP)  ## style, types and the direction of imports
+check: $(TOOLS)  ## style, types and the direction of imports
 	ruff check
 	ruff format --check
 	pyright
 	lint-imports
 
 BENCH ?= bench
-bench: $(STAMP)  ## time the renderer and the training steps, on a GPU where there is one: results/bench/$(BENCH).json
+bench: $(TOOLS)  ## time the renderer and the training steps, on a GPU where there is one: results/bench/$(BENCH).json
 	mkdir -p results/bench
 	pytest benchmarks --override-ini addopts=--import-mode=importlib --override-ini "python_files=bench_*.py" \
 		--benchmark-json results/bench/$(BENCH).json
 
-dependencies: $(STAMP)  ## rewrite the code dependencies of dvc.yaml
+dependencies: $(TOOLS)  ## rewrite the code dependencies of dvc.yaml
 	python -m tests.project.import_closure
 
-tables: $(STAMP)  ## rewrite the tables of README.md and docs/ from results/metrics
+tables: $(TOOLS)  ## rewrite the tables of README.md and docs/ from results/metrics
 	python -m tests.project.result_tables
 
 clean:  ## remove the environment and restart states; models and results stay
@@ -42,5 +43,9 @@ clean:  ## remove the environment and restart states; models and results stay
 
 $(STAMP): constraints.txt pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[pipeline]"
+	touch $@
+
+$(TOOLS): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[pipeline,remote,video,baselines,development]"
 	touch $@
