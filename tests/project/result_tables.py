@@ -70,6 +70,25 @@ TABLES = {
             "retrieved by colours": "reconstruction.retrieved.feature_distance",
         },
     ),
+    "multiview": Table(
+        "",
+        r".*",
+        {
+            "azimuths read within 30°": "multiview.acc_pi6",
+            "error, °": "multiview.error_degrees",
+            "identity drift": "multiview.identity_drift",
+            "drift of different objects": "multiview.chance.identity_drift",
+        },
+    ),
+    "colmap": Table(
+        "",
+        r".*-colmap",
+        {
+            "features a picture": "colmap.features",
+            "verified pairs": "colmap.verified_pairs",
+            "registered pictures": "colmap.registered",
+        },
+    ),
     "base-shape-ablations": Table("evaluate_base_shape", r"toybox-car.*", {"base-shape IoU": "voxel_iou"}),
     "ablations": Table(
         "",
