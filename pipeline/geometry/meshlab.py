@@ -3,11 +3,37 @@
 # pyright: reportAttributeAccessIssue=false
 # pymeshlab is a compiled module that ships no type stubs.
 
+import ctypes
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
-import pymeshlab
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+
+_M_PERTURB = -6
+"""Option of glibc's `mallopt`: fresh memory is filled with the complement of its value, unless that is 0."""
+
+
+@contextmanager
+def _filled_memory() -> Iterator[None]:
+    """Let fresh memory hold no zeros, where glibc manages it."""
+    fill = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
+    if fill is not None:
+        fill(_M_PERTURB, 85)
+    try:
+        yield
+    finally:
+        if fill is not None:
+            fill(_M_PERTURB, 0)
+
+
+# Release 2025.7 never sets a flag that it reads: where the memory it gets at its import holds zeros, isotropic
+# remeshing forgets the surface tolerance.
+with _filled_memory():
+    import pymeshlab
 
 
 def isotropic_remeshing(

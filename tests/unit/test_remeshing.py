@@ -1,16 +1,22 @@
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
 
 from pipeline.errors import MeshError
+from pipeline.files import load_tensors
 from pipeline.geometry.mesh_quality import area_variation, measure_map, measure_remeshing, surface_distance
 from pipeline.geometry.remeshing import IsotropicConfig, MappedMesh, remesh_isotropic
 from pipeline.geometry.sphere_map import SphereMapConfig
 from pipeline.geometry.symmetry import mirror_index, reflect
 from pipeline.geometry.topology import euler_characteristic
 from tests.deformed_spheres import SHAPES, deformed_sphere
+from tests.project.import_closure import ROOT
 
 ISOTROPIC = IsotropicConfig(target_faces=1280, attempts=2, iterations=10, feature_angle=90.0, surface_tolerance=0.5)
 SPHERE_MAP = SphereMapConfig(iterations=60, correction=0.5)
@@ -27,6 +33,19 @@ def test_remeshed_surface(name: str) -> None:
     assert measured["hausdorff"] < 0.02
     assert measured["map_flipped_faces"] == 0
     assert measured["map_area_distortion"] < (1.6 if name == "horse" else 1.15)
+
+
+def test_result_does_not_depend_on_what_fresh_memory_holds(tmp_path: Path) -> None:
+    remeshed = remesh_isotropic(MappedMesh(*deformed_sphere("dented")), ISOTROPIC, SPHERE_MAP)
+    script = (
+        "from pipeline.files import save_tensors; from tests.unit.test_remeshing import *;"
+        "mesh = remesh_isotropic(MappedMesh(*deformed_sphere('dented')), ISOTROPIC, SPHERE_MAP);"
+        f"save_tensors(Path({str(tmp_path / 'mesh.safetensors')!r}), dict(vertices=mesh.vertices), dict())"
+    )
+    zeros = {**os.environ, "MALLOC_PERTURB_": "255"}
+    subprocess.run([sys.executable, "-c", script], cwd=ROOT, env=zeros, check=True)
+    again, _ = load_tensors(tmp_path / "mesh.safetensors")
+    assert torch.equal(remeshed.vertices, again["vertices"])
 
 
 def test_result_is_symmetric_outward_and_the_same_every_time() -> None:
