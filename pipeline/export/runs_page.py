@@ -33,6 +33,8 @@ INTRODUCTION = (
 )
 
 Figure = Mapping[str, Any]
+"""A value, its standard error and n."""
+Figures = Mapping[str, Figure]
 
 
 class MeasuredRun(NamedTuple):
@@ -46,6 +48,11 @@ class MeasuredRun(NamedTuple):
     def experiment(self) -> str:
         """What runs share that differ in their seed alone."""
         return re.sub(r"-seed\d+$", "", self.name)
+
+    def by_name(self) -> Figures:
+        """Return the figures by their dotted names."""
+        rows = figure_rows(self.figures)
+        return {label: {"value": value, "standard_error": error, "n": n} for label, value, error, n in rows}
 
 
 def write_runs_page(path: Path, runs: Sequence[MeasuredRun]) -> None:
@@ -74,9 +81,7 @@ def _link(run: MeasuredRun) -> str:
 
 def _measured(run: MeasuredRun) -> list[Figure | None]:
     """Look the columns up among a run's figures."""
-    found = {
-        label: {"value": value, "standard_error": error, "n": n} for label, value, error, n in figure_rows(run.figures)
-    }
+    found = run.by_name()
     return [found.get(label) for label, _ in COLUMNS.values()]
 
 

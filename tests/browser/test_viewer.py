@@ -179,5 +179,7 @@ def test_a_browser_without_webgl_says_so(chromium: Browser, address: str) -> Non
     context.add_init_script("HTMLCanvasElement.prototype.getContext = () => null;")
     page = context.new_page()
     page.goto(address)
-    page.get_by_text("it offers no WebGL").wait_for()
+    sentence = page.get_by_text("it offers no WebGL")
+    sentence.wait_for()
+    assert sentence.is_visible()
     context.close()

@@ -10,8 +10,9 @@ import statistics
 from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from pipeline.export.runs_page import Figure, Figures, MeasuredRun
 from pipeline.files import read_json
 from tests.project.import_closure import ROOT
 
@@ -119,32 +120,21 @@ def render(table: Table) -> str:
 
 
 def _rows(table: Table) -> Iterator[list[str]]:
-    seeds: defaultdict[str, list[dict[str, Any]]] = defaultdict(list)
+    seeds: defaultdict[str, list[Figures]] = defaultdict(list)
     for path in sorted((METRICS / table.folder).glob("*.json")):
-        name = re.sub(r"-seed\d+$", "", path.stem)
-        if re.fullmatch(table.runs, name):
-            seeds[name].append(read_json(path))
+        run = MeasuredRun(path.stem, None, read_json(path))
+        if re.fullmatch(table.runs, run.experiment):
+            seeds[run.experiment].append(run.by_name())
     first, *_ = table.columns.values()
     for name, runs in sorted(seeds.items()):
-        if figure(runs[0], first) is not None:
-            counts = sorted({str(found["n"]) for run in runs if (found := figure(run, first)) is not None})
-            cells = [_cell(runs, key) for key in table.columns.values()]
+        if first in runs[0]:
+            counts = sorted({str(run[first]["n"]) for run in runs if first in run})
+            cells = [_cell([run[key] for run in runs if key in run]) for key in table.columns.values()]
             yield [f"`{name}`", str(len(runs)), ", ".join(counts), *cells]
 
 
-def figure(metrics: dict[str, Any], key: str) -> dict[str, Any] | None:
-    """Return a figure's value, n and standard error, or None where the run has none under the dotted key."""
-    *sections, last = key.split(".")
-    section: Any = metrics
-    for name in sections:
-        section = section.get(name, {})
-    found = section.get(last)
-    return {**section, "value": found} if isinstance(found, float) else found  # acc_pi6 stands beside its n
-
-
-def _cell(runs: list[dict[str, Any]], key: str) -> str:
-    found = [one for run in runs if (one := figure(run, key)) is not None]
-    values = [one["value"] for one in found]
+def _cell(found: list[Figure]) -> str:
+    values = [figure["value"] for figure in found]
     spread = statistics.stdev(values) if len(values) > 1 else found[0]["standard_error"]
     decimals = 3 if max(values) < 2 else 1
     return f"{statistics.fmean(values):.{decimals}f} ± {spread:.{decimals}f}"

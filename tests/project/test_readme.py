@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from pipeline.export.runs_page import MeasuredRun
 from pipeline.files import write_json
 from tests.project.import_closure import ROOT
 from tests.project.result_tables import PAGES, TABLES, Table, render, with_tables
@@ -45,7 +46,7 @@ def test_every_link_leads_somewhere(page: str) -> None:
 
 
 def test_every_measured_run_is_shown() -> None:
-    measured = {re.sub(r"-seed\d+$", "", path.stem) for path in ROOT.glob("results/metrics/*.json")}
+    measured = {MeasuredRun(path.stem, None, {}).experiment for path in ROOT.glob("results/metrics/*.json")}
     tables = "".join(render(table) for table in TABLES.values())
     assert {name for name in measured if f"`{name}`" not in tables} == set()
 
