@@ -6,7 +6,8 @@ and a regression that has to explain a faint signal takes what it finds: white c
 Paint says nothing about the azimuth. So features are measured in units of how much repainting changes them, and
 opposite azimuths are given photographs of the same mean colours. How many there are of an axis is what the votes say
 (horses show their sides); were it free, azimuths would gather in clusters from round to round. How many of them show
-the front is free: opposite azimuths have the same mean score, not the same number of photographs.
+the front is free within bounds: opposite azimuths have the same mean score, and neither gets fewer photographs of their
+axis than `smaller_end`, or one end might take all.
 
 Azimuths are bins of the circle: row i of `N azimuths` is a photograph's distribution over them.
 """
@@ -34,7 +35,8 @@ class ConsensusConfig:
     """Settings of the consensus.
 
     Attributes:
-        rounds: of regression; 0 keeps the votes. After several one end takes all photographs.
+        rounds: of regression; 0 keeps the votes.
+        smaller_end: least part of an axis's photographs that either end gets: 0 leaves it free, 0.5 gives both as many.
         components: principal components of the features that the regression sees.
         repainting_floor: added to the variances under repainting, as a part of their mean.
         ridge: penalty of the regression, as a part of a component's mean variance.
@@ -43,6 +45,7 @@ class ConsensusConfig:
     """
 
     rounds: int
+    smaller_end: float
     components: int
     repainting_floor: float
     ridge: float
@@ -64,13 +67,13 @@ def agree_on_azimuths(
     """
     colors, scores = mean_colors(images), config.sharpness * standardize(votes)
     share = symmetric_share(scores)
-    probabilities = balance(scores, colors, share)
+    probabilities = balance(scores, colors, share, config.smaller_end)
     if config.rounds == 0:
         return probabilities
     features = paintless_features(images, extractor, config, rng)
     for _ in range(config.rounds):
         scores = config.sharpness * standardize(judge(features, probabilities, config, rng))
-        probabilities = balance(scores, colors, share)
+        probabilities = balance(scores, colors, share, config.smaller_end)
     return probabilities
 
 
@@ -98,12 +101,16 @@ def symmetric_share(scores: Float[Tensor, "N azimuths"]) -> Float[Tensor, " azim
 
 
 def balance(
-    scores: Float[Tensor, "N azimuths"], colors: Float[Tensor, "N K"], share: Float[Tensor, " azimuths"]
+    scores: Float[Tensor, "N azimuths"],
+    colors: Float[Tensor, "N K"],
+    share: Float[Tensor, " azimuths"],
+    smaller_end: float,
 ) -> Float[Tensor, "N azimuths"]:
     """Turn scores into probabilities that give axes their shares, and opposite azimuths the same mean colours.
 
     Each azimuth's score gets an affine function of the colours, found by Newton-like steps, after what makes its mean
-    differ from that of the opposite azimuth is taken off.
+    differ from that of the opposite azimuth is taken off. Neither of two opposite azimuths keeps less than the part
+    `smaller_end` of their axis.
     """
     excess_of_mean = scores.mean(dim=0) - _opposite(scores.mean(dim=0))
     scores = scores - (excess_of_mean + mirrored(excess_of_mean)) / 4
@@ -114,7 +121,9 @@ def balance(
         probabilities = (scores + colors @ correction).softmax(dim=1)
         sums = colors.T @ probabilities / len(colors)
         excess = (sums - _opposite(sums)) / 2
+        end = sums[0] / (sums[0] + _opposite(sums[0]))
         excess[0] = (sums[0] + _opposite(sums[0])) / 2 - share
+        excess[0] += 2 * share * (end - end.clamp(smaller_end, 1 - smaller_end))
         step = torch.linalg.solve(covariance, excess) / share
         correction = correction - (step + mirrored(step)) / 4
     return (scores + colors @ correction).softmax(dim=1)

@@ -21,7 +21,7 @@ CONFIG = FirstPosesConfig(
     box_size=0.85,
     temperature=1.0,
     concentration=20.0,
-    consensus=ConsensusConfig(3, 64, 0.3, 0.3, 5, 3.0),
+    consensus=ConsensusConfig(3, 0.4, 64, 0.3, 0.3, 5, 3.0),
     photographs=300,
     lessons=60,
 )

@@ -2,6 +2,7 @@
 
 import math
 
+import pytest
 import torch
 from torch import Tensor
 
@@ -22,7 +23,7 @@ from pipeline.training.azimuths import (
 )
 from tests.tiny_full_model import photographs, tiny_extractor
 
-CONFIG = ConsensusConfig(rounds=4, components=32, repainting_floor=0.3, ridge=0.01, folds=5, sharpness=3.0)
+CONFIG = ConsensusConfig(rounds=4, smaller_end=0.0, components=32, repainting_floor=0.3, ridge=0.01, folds=5, sharpness=3.0)
 COUNT = 400
 NOISE = 0.1
 
@@ -52,10 +53,10 @@ def features_of(azimuths: Tensor, paint: Tensor) -> Tensor:
 def after_rounds(votes: Tensor, features: Tensor, colors: Tensor, rounds: int) -> Tensor:
     scores = CONFIG.sharpness * standardize(votes)
     share = symmetric_share(scores)
-    probabilities = balance(scores, colors, share)
+    probabilities = balance(scores, colors, share, CONFIG.smaller_end)
     for index in range(rounds):
         scores = CONFIG.sharpness * standardize(judge(features, probabilities, CONFIG, generator(6 + index)))
-        probabilities = balance(scores, colors, share)
+        probabilities = balance(scores, colors, share, CONFIG.smaller_end)
     return probabilities
 
 
@@ -76,7 +77,7 @@ def test_balance_gives_axes_their_share_and_opposite_azimuths_the_same_colours()
     light_ones_drive_forwards = 2 * colors[:, :1] * torch.cos(bins(colors.device))
     scores = votes_for(azimuths) + light_ones_drive_forwards
     share = symmetric_share(votes_for(azimuths))
-    probabilities = balance(scores, colors, share)
+    probabilities = balance(scores, colors, share, CONFIG.smaller_end)
     torch.testing.assert_close(probabilities.sum(dim=1), torch.ones(COUNT))
 
     def of_axes(values: Tensor) -> Tensor:
@@ -98,7 +99,22 @@ def test_balance_forgets_that_votes_prefer_one_end() -> None:
     colors, votes = torch.randn(COUNT, 1, generator=generator(3)), votes_for(azimuths)
     preferring = votes + 0.7 * torch.cos(bins(colors.device))
     share = symmetric_share(votes)
-    torch.testing.assert_close(balance(preferring, colors, share), balance(votes, colors, share))
+    torch.testing.assert_close(balance(preferring, colors, share, 0.0), balance(votes, colors, share, 0.0))
+
+
+@pytest.mark.parametrize("smaller_end", [0.4, 0.5])
+def test_neither_end_takes_all_photographs(smaller_end: float) -> None:
+    from_the_front = torch.rand(COUNT, generator=generator(9)) < 0.8
+    azimuths = math.pi * (torch.rand(COUNT, generator=generator(10)) - 0.5) + math.pi * ~from_the_front
+    colors, scores = torch.randn(COUNT, 1, generator=generator(3)), votes_for(azimuths)
+    share = symmetric_share(scores)
+
+    def largest_end(least: float) -> float:
+        probabilities = balance(scores, colors, share, least).mean(dim=0)
+        return (probabilities / (probabilities + probabilities.roll(AZIMUTHS // 2))).amax().item()
+
+    assert largest_end(smaller_end) == pytest.approx(1 - smaller_end, abs=0.03)
+    assert largest_end(0.0) > 0.65
 
 
 def test_most_photographs_may_show_the_front() -> None:
@@ -143,7 +159,7 @@ def test_features_in_units_of_repainting_tell_azimuths_better_than_paint() -> No
     repainted = torch.cat([repaint(pictures, generator(1)), repaint(pictures, generator(2))])
 
     def share_of_paint(floor: float) -> float:
-        config = ConsensusConfig(1, 8, floor, 0.3, 2, 3.0)
+        config = ConsensusConfig(1, 0.0, 8, floor, 0.3, 2, 3.0)
         features = paintless_features(repainted, extractor, config, generator(3))[0].unflatten(0, (2, 24))
         return ((features[0] - features[1]).square().mean() / features.var()).item()
 
@@ -164,7 +180,7 @@ def test_votes_stay_where_there_are_no_rounds_and_repeat_for_a_seed() -> None:
     pictures, extractor = images.float() / 255, tiny_extractor()
 
     def agree(rounds: int) -> Tensor:
-        config = ConsensusConfig(rounds, 4, 0.3, 0.3, 3, 3.0)
+        config = ConsensusConfig(rounds, 0.4, 4, 0.3, 0.3, 3, 3.0)
         return agree_on_azimuths(votes, pictures, extractor, config, generator(8))
 
     assert agree(0).shape == (12, AZIMUTHS)
