@@ -52,7 +52,9 @@ TRAINING = FullTrainingConfig(
     model=MODEL,
     ellipsoid=EllipsoidConfig((0.5, 0.5, 1.0), 2),
     warm_up=WarmUpConfig(2, 4, 1e-3, (0.9, 0.99), LightConfig(0.5, 0.5), 0.3, 0.1),
-    first_poses=FirstPosesConfig(8, 0.5, 0.1, 0.1, 0.85, 1.0, 20.0, ConsensusConfig(1, 0.4, 4, 0.3, 0.3, 2, 3.0), 100, 2),
+    first_poses=FirstPosesConfig(
+        8, 0.5, 0.1, 0.1, 0.85, 1.0, 20.0, ConsensusConfig(1, 0.4, 4, 0.3, 0.3, 2, 3.0), 100, 2
+    ),
     settle=2,
     exploration=ExplorationConfig((0.1, 1.0, 2.0), 1, 2, 3, 2, 1, 1, (0.02, 0.2), (0.02, 0.2), 0.5),
     loss=LossConfig(0.1, 1.0, 1.0, 1.0, 1.0, 0.1, 0.1, SmoothnessConfig(1.0, 0.0, 0.0, 0.01, 0.0, 0.0)),

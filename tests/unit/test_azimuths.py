@@ -23,7 +23,9 @@ from pipeline.training.azimuths import (
 )
 from tests.tiny_full_model import photographs, tiny_extractor
 
-CONFIG = ConsensusConfig(rounds=4, smaller_end=0.0, components=32, repainting_floor=0.3, ridge=0.01, folds=5, sharpness=3.0)
+CONFIG = ConsensusConfig(
+    rounds=4, smaller_end=0.0, components=32, repainting_floor=0.3, ridge=0.01, folds=5, sharpness=3.0
+)
 COUNT = 400
 NOISE = 0.1
 
