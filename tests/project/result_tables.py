@@ -7,16 +7,19 @@ seeds, or one seed's value and its standard error.
 
 import re
 import statistics
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
 
+from pipeline.evaluation.tables import read_table
 from pipeline.export.runs_page import Figure, Figures, MeasuredRun
 from pipeline.files import read_json
 from tests.project.import_closure import ROOT
 
 METRICS = ROOT / "results" / "metrics"
+PICTURES = ROOT / "results" / "tables"
+SIDES = ("front", "left", "rear", "right")
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 MARKED = re.compile(r"(?<=<!-- table: )([\w-]+)( -->\n).*?(?=<!-- end of table -->)", re.DOTALL)
 
@@ -34,8 +37,52 @@ class Table(NamedTuple):
     runs: str
     columns: dict[str, str]
 
+    def rows(self) -> Iterator[list[str]]:
+        """Yield the heading and one row an experiment."""
+        yield ["run", "seeds", "n", *self.columns]
+        first, *_ = self.columns.values()
+        for name, runs in sorted(self._seeds().items()):
+            if first in runs[0]:
+                counts = sorted({str(run[first]["n"]) for run in runs if first in run})
+                cells = [_cell([run[key] for run in runs if key in run]) for key in self.columns.values()]
+                yield [f"`{name}`", str(len(runs)), ", ".join(counts), *cells]
 
-TABLES = {
+    def _seeds(self) -> dict[str, list[Figures]]:
+        seeds: defaultdict[str, list[Figures]] = defaultdict(list)
+        for path in sorted((METRICS / self.folder).glob("*.json")):
+            run = MeasuredRun(path.stem, None, read_json(path))
+            if re.fullmatch(self.runs, run.experiment):
+                seeds[run.experiment].append(run.by_name())
+        return seeds
+
+
+class Confusion(NamedTuple):
+    """Which sides of the object test pictures show and which are read off them, over all seeds of one experiment.
+
+    A side is the quarter of the azimuths around it.
+    """
+
+    experiment: str
+    azimuth: str
+
+    def rows(self) -> Iterator[list[str]]:
+        """Yield the heading and one row a true side."""
+        yield ["true side", "n", *(f"read as {side}" for side in SIDES)]
+        counts: Counter[tuple[int, int]] = Counter()
+        for path in PICTURES.glob(f"{self.experiment}*.csv"):
+            if MeasuredRun(path.stem, None, {}).experiment == self.experiment:
+                table = read_table(path)
+                counts.update(zip(_sides(table["truth_azimuth"]), _sides(table[self.azimuth]), strict=True))
+        for true, side in enumerate(SIDES):
+            total = sum(counts[true, read] for read in range(4))
+            yield [side, str(total), *(f"{counts[true, read] / max(total, 1):.2f}" for read in range(4))]
+
+
+def _sides(degrees: list[str]) -> list[int]:
+    return [round(float(azimuth) / 90) % 4 for azimuth in degrees]
+
+
+TABLES: dict[str, Table | Confusion] = {
     "viewpoints": Table(
         "",
         r"(?!.*(no-|single-stage)).*",
@@ -105,6 +152,8 @@ TABLES = {
             "fine-tuned distance": "reconstruction.tuned.feature_distance",
         },
     ),
+    "sides-toybox-car": Confusion("toybox-car", "azimuth_tuned"),
+    "sides-stanford-car": Confusion("stanford-car", "azimuth_tuned"),
 }
 
 
@@ -113,24 +162,10 @@ def with_tables(text: str) -> str:
     return MARKED.sub(lambda found: f"{found[1]}{found[2]}\n{render(TABLES[found[1]])}\n", text)
 
 
-def render(table: Table) -> str:
+def render(table: Table | Confusion) -> str:
     """Write a table as Markdown."""
-    rows = [["run", "seeds", "n", *table.columns], ["---"] * (3 + len(table.columns)), *_rows(table)]
-    return "".join(f"| {' | '.join(row)} |\n" for row in rows)
-
-
-def _rows(table: Table) -> Iterator[list[str]]:
-    seeds: defaultdict[str, list[Figures]] = defaultdict(list)
-    for path in sorted((METRICS / table.folder).glob("*.json")):
-        run = MeasuredRun(path.stem, None, read_json(path))
-        if re.fullmatch(table.runs, run.experiment):
-            seeds[run.experiment].append(run.by_name())
-    first, *_ = table.columns.values()
-    for name, runs in sorted(seeds.items()):
-        if first in runs[0]:
-            counts = sorted({str(run[first]["n"]) for run in runs if first in run})
-            cells = [_cell([run[key] for run in runs if key in run]) for key in table.columns.values()]
-            yield [f"`{name}`", str(len(runs)), ", ".join(counts), *cells]
+    heading, *rows = table.rows()
+    return "".join(f"| {' | '.join(row)} |\n" for row in [heading, ["---"] * len(heading), *rows])
 
 
 def _cell(found: list[Figure]) -> str:

@@ -10,7 +10,7 @@ from ruamel.yaml import YAML
 from pipeline.export.runs_page import MeasuredRun
 from pipeline.files import write_json
 from tests.project.import_closure import ROOT
-from tests.project.result_tables import PAGES, TABLES, Table, render, with_tables
+from tests.project.result_tables import PAGES, TABLES, Confusion, Table, render, with_tables
 
 README = (ROOT / "README.md").read_text()
 PARAMS = YAML(typ="safe").load(ROOT / "params.yaml")
@@ -72,3 +72,13 @@ def test_a_table_shows_the_mean_over_seeds(tmp_path: Path, monkeypatch: pytest.M
         "| `car` | 2 | 40 | 0.600 ± 0.141 | 3.0 ± 0.0 |",
         "| `horse` | 1 | 40 | 0.250 ± 0.100 | 3.0 ± 1.0 |",
     ]
+
+
+def test_a_confusion_counts_the_sides_of_all_seeds(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tests.project.result_tables.PICTURES", tmp_path)
+    for name, read in (("car", (-10, 170)), ("car-seed1", (44, 95)), ("car-other", (180, 180))):
+        rows = "".join(f"{true},{azimuth}\n" for true, azimuth in zip((10, 350), read, strict=True))
+        (tmp_path / f"{name}.csv").write_text(f"truth_azimuth,azimuth_tuned\n{rows}")
+    table = render(Confusion("car", "azimuth_tuned"))
+    assert "| front | 4 | 0.50 | 0.25 | 0.25 | 0.00 |\n" in table
+    assert "| rear | 0 | 0.00 | 0.00 | 0.00 | 0.00 |\n" in table
