@@ -2,6 +2,7 @@
 
 import tempfile
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +15,7 @@ from pipeline.cli.photographs import FILES, Task
 from pipeline.cli.runs import Run
 from pipeline.config import load
 from pipeline.datasets.decoding import Fit, decode
-from pipeline.datasets.folder import FolderConfig
+from pipeline.datasets.prepare import PrepareConfig
 from pipeline.errors import DataError
 from pipeline.export.animation import write_gif, write_mp4
 from pipeline.export.glb import write_glb
@@ -65,7 +66,7 @@ def reconstruct(
     _require_same_way(out, {"model": sha256(run.model), "fine_tune": tuned})
     waiting = [task for task in tasks if not task.done(outputs)]
     config = load(run.params, FineTuneConfig, ["fine_tune", f"sizes.{run.size}.fine_tune"])
-    fit = load(run.params, FolderConfig, ["prepare_data.folder"]).fit
+    fit = load(run.params, PrepareConfig, ["prepare_data", f"datasets.{run.dataset}"]).fit
     report = load(run.params, ReportConfig, ["report"])
     failures: list[str] = []
     with tqdm(total=len(waiting), desc="reconstructing", unit="photograph", disable=None) as progress:
@@ -107,7 +108,9 @@ def _inferred(images: UInt8[Tensor, "B 3 H W"], model: FullModel) -> Found:
 def _fine_tuned(images: UInt8[Tensor, "B 3 H W"], model: FullModel, run: Run, config: FineTuneConfig) -> Found:
     extractor = load_feature_extractor(run.features, images.device)
     with tempfile.TemporaryDirectory() as folder:
-        results = fine_tune(config, images, model, extractor, Checkpoint(Path(folder), "reconstruct"))
+        results = fine_tune(
+            replace(config, photographs=None), images, model, extractor, Checkpoint(Path(folder), "reconstruct")
+        )
     pose = pose_from_tensor(results["pose_tuned"])
     return Found(results["vertices_tuned"], results["textures"], pose, results["images_tuned"].float() / 255)
 

@@ -16,6 +16,7 @@ class Run:
     project: Path
     name: str
     size: str
+    dataset: str
     features_name: str
 
     @property
@@ -56,7 +57,7 @@ def find_run(project: Path, name: str | None) -> Run:
         raise ConfigError(f"{params} has no runs; add one with `make run ROW=...`")
     name = name if name is not None else next(iter(runs))
     scalar(params, f"runs.{name}")
-    return Run(project, name, runs[name]["size"], runs[name]["features"])
+    return Run(project, name, runs[name]["size"], runs[name]["dataset"], runs[name]["features"])
 
 
 def measured_runs(project: Path) -> list[MeasuredRun]:

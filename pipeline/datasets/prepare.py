@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from pipeline.datasets.cifar10 import Cifar10Config, read_cifar10
+from pipeline.datasets.decoding import Fit
 from pipeline.datasets.folder import FolderConfig, read_folder
 from pipeline.datasets.pascal3d import Pascal3dConfig, read_pascal3d
 from pipeline.datasets.posed_folder import read_viewpoints
@@ -33,6 +34,13 @@ class PrepareConfig:
     folder: FolderConfig
     posed_folder: FolderConfig
     pascal3d: Pascal3dConfig
+
+    @property
+    def fit(self) -> Fit:
+        """How a photograph that is not square becomes so; PASCAL3D+'s boxes are padded."""
+        if self.kind == "pascal3d":
+            return "pad"
+        return self.posed_folder.fit if self.kind == "posed_folder" else self.folder.fit
 
 
 def prepare(config: PrepareConfig, folder: Path) -> Truth:

@@ -30,7 +30,7 @@ def pose_columns(truth: Pose, estimate: Pose) -> Columns:
 def pose_figures(truth: Pose, estimate: Pose, generator: torch.Generator) -> Figures:
     """Summarize aligned estimates: accuracy, median error, the modes of failure, and the side seen.
 
-    `seen_side` is the fraction of pictures whose nearest side (front, right, back, left) is right; `front_or_side` asks
+    `seen_side` is the fraction of pictures whose nearest side (front, left, back, right) is right; `front_or_side` asks
     only whether the object is seen lengthwise or from a side, so that flipped and mirrored estimates count as right.
     """
     modes = error_mode(truth, estimate)

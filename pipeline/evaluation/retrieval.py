@@ -3,7 +3,6 @@
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
-from torch.nn.functional import one_hot
 
 _LEVELS = 4
 """Levels of each channel; a histogram has their third power."""
@@ -25,4 +24,5 @@ def histograms(images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B bins"]:
     """Return the shares of the colours, each channel of RGB in [0, 1] rounded down to one of four levels."""
     levels = (images * _LEVELS).long().clamp(0, _LEVELS - 1)
     colors = ((levels[:, 0] * _LEVELS + levels[:, 1]) * _LEVELS + levels[:, 2]).flatten(1)
-    return torch.cat([one_hot(chunk, _LEVELS**3).float().mean(dim=1) for chunk in colors.split(_CHUNK)])
+    counts = torch.zeros(len(colors), _LEVELS**3, device=images.device)
+    return counts.scatter_add_(1, colors, torch.ones_like(colors, dtype=counts.dtype)) / colors.shape[1]

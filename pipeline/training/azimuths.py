@@ -6,8 +6,8 @@ and a regression that has to explain a faint signal takes what it finds: white c
 Paint says nothing about the azimuth. So features are measured in units of how much repainting changes them, and
 opposite azimuths are given photographs of the same mean colours. How many there are of an axis is what the votes say
 (horses show their sides); were it free, azimuths would gather in clusters from round to round. How many of them show
-the front is free within bounds: opposite azimuths have the same mean score, and neither gets fewer photographs of their
-axis than `smaller_end`, or one end might take all.
+the front is free within bounds: opposite azimuths have the same mean score, and neither gets less of their axis's
+probability than `smaller_end`, or one end might take all photographs.
 
 Azimuths are bins of the circle: row i of `N azimuths` is a photograph's distribution over them.
 """
@@ -36,7 +36,8 @@ class ConsensusConfig:
 
     Attributes:
         rounds: of regression; 0 keeps the votes.
-        smaller_end: least part of an axis's photographs that either end gets: 0 leaves it free, 0.5 gives both as many.
+        smaller_end: least part of an axis's probability, over all photographs, that either end gets; 0 leaves it free.
+            Where photographs say little of ends, more of them may still be likelier to show the same one.
         components: principal components of the features that the regression sees.
         repainting_floor: added to the variances under repainting, as a part of their mean.
         ridge: penalty of the regression, as a part of a component's mean variance.

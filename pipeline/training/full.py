@@ -161,7 +161,7 @@ class FullTrainer:
 
     @torch.no_grad()
     def recorded_pose(self) -> Pose:
-        """Return the best poses of all training photographs; those without a visit have random ones."""
+        """Return the best poses of all training photographs; those without a visit have the one they started with."""
         return self.model.poses(self.record.pose, self.model.shapes(self.record.shape))
 
     def parts(self) -> dict[str, Part]:
@@ -217,9 +217,10 @@ def train_full(
     steps = range(first, config.iterations)
     for iteration in tqdm(steps, "full training", initial=first, total=config.iterations, disable=silent()):
         unread.append(trainer.step(iteration))
-        if any((iteration + 1) % every == 0 for every in (config.curve_every, config.checkpoint_every)):
+        last = iteration + 1 == config.iterations
+        if last or any((iteration + 1) % every == 0 for every in (config.curve_every, config.checkpoint_every)):
             recent, unread = recent + read_losses(unread, iteration), []
-        if (iteration + 1) % config.curve_every == 0:
+        if last or (iteration + 1) % config.curve_every == 0:
             curve.append(iteration + 1, **_means(recent))
             recent = []
         if (iteration + 1) % config.checkpoint_every == 0:

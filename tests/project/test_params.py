@@ -42,6 +42,7 @@ def test_every_row_loads_at_every_size(row: str, size: str) -> None:
     full = load(PATH, FullTrainingConfig, ["train_full", *(f"{part}.train_full" for part in parts)])
     assert base_shape.renderer.camera == full.model.renderer.camera, "base shapes are seen by another camera"
     assert base_shape.renderer.size == full.model.renderer.size
+    assert base_shape.initial_dimensions == full.ellipsoid.dimensions, "single-stage training starts elsewhere"
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -82,7 +83,7 @@ def test_each_ablation_changes_what_its_name_says() -> None:
     }
     counts = ("random_poses", "turned_poses", "flipped_poses", "perturbed_poses", "random_shapes", "perturbed_shapes")
     single_stage = {"two_stage": False, "settle": 0}
-    weights = ("total_variation", "laplacian_squared_weight", "angle_squared_weight")
+    weights = ("total_variation", "mirrored_regression", "laplacian_squared_weight", "angle_squared_weight")
     free = {"mirror_texture": False, "stripes": False, "mirror": False, **dict.fromkeys(weights, 0)}
     assert changed == {
         "none": {},

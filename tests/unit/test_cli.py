@@ -14,6 +14,7 @@ from ruamel.yaml import YAML
 
 from pipeline.cli import doctor
 from pipeline.cli.__main__ import main
+from pipeline.datasets.decoding import Fit, decode
 from pipeline.files import save_tensors
 from pipeline.networks.feature_extractor import save_feature_extractor
 from pipeline.networks.full_model import full_model_texts
@@ -76,6 +77,31 @@ def test_fine_tuning_changes_the_pose(project: Path, tmp_path: Path) -> None:
     shutil.rmtree(project / "out")
     reconstruct(project, str(tmp_path / "car.png"), "--fine-tune")
     assert json.loads((project / "out/car_pose.json").read_text()) != before
+
+
+@pytest.mark.parametrize(("kind", "fit"), [("folder", "crop"), ("posed_folder", "pad")])
+def test_oblong_photographs_become_square_as_those_of_the_run_did(
+    project: Path, tmp_path: Path, kind: str, fit: Fit
+) -> None:
+    params = YAML(typ="safe").load(project / "params.yaml")
+    params["datasets"]["toybox"] = {"kind": kind, "source": "anywhere"}
+    YAML(typ="safe").dump(params, project / "params.yaml")
+    ramp = torch.linspace(0, 255, 128).to(torch.uint8).expand(64, 128)
+    Image.fromarray(torch.stack([ramp, ramp.flip(1), ramp // 2], 2).numpy()).save(tmp_path / "long.png")
+    reconstruct(project, str(tmp_path / "long.png"), "--outputs", "pose")
+    square = decode((tmp_path / "long.png").read_bytes(), "long", tiny_model().config.renderer.size, fit)
+    seen = tiny_model().eval().infer(torch.from_numpy(square.copy()).permute(2, 0, 1)[None] / 255)
+    pose = json.loads((project / "out/long_pose.json").read_text())
+    assert pose["scale"] == pytest.approx(seen.pose.scale[0].item(), abs=1e-5)
+    assert pose["azimuth_degrees"] == pytest.approx(math.degrees(seen.pose.azimuth[0]) % 360, abs=1e-3)
+
+
+def test_fine_tuning_takes_more_photographs_than_the_stage(project: Path, tmp_path: Path) -> None:
+    params = YAML(typ="safe").load(project / "params.yaml")
+    params["fine_tune"]["photographs"] = 1
+    YAML(typ="safe").dump(params, project / "params.yaml")
+    photographs = [str(tmp_path / "car.png"), str(tmp_path / "van.png")]
+    assert "van_pose.json" in reconstruct(project, *photographs, "--outputs", "pose", "--fine-tune")
 
 
 def test_a_folder_is_reconstructed_but_for_what_cannot_be_read(
