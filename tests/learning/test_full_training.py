@@ -32,7 +32,7 @@ def train(config: FullTrainingConfig, folder: Path, count: int = 8) -> FullTrain
     trainer, curve = train_full(
         config, images, MEMORY, tiny_extractor(), base_mesh(), tiny_scenes(), 0, Checkpoint(folder, "key")
     )
-    assert [row["iteration"] for row in curve.rows] == list(range(2, config.iterations + 1, 2))
+    assert [row["iteration"] for row in curve.rows] == sorted({*range(2, config.iterations, 2), config.iterations})
     return trainer
 
 
@@ -53,6 +53,11 @@ def test_interrupted_training_ends_with_the_same_bytes(config: FullTrainingConfi
     halves = state(train(config, tmp_path / "halves"))
     assert whole.keys() == halves.keys()
     assert [name for name in whole if not torch.equal(whole[name], halves[name])] == []
+
+
+@pytest.mark.parametrize("iterations", [1, 3])
+def test_the_curve_ends_where_training_ends(iterations: int, tmp_path: Path) -> None:
+    train(replace(SINGLE_STAGE, iterations=iterations), tmp_path)
 
 
 def test_diverged_training_keeps_the_last_checkpoint(tmp_path: Path) -> None:
