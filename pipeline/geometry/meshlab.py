@@ -7,6 +7,8 @@ import ctypes
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
+from threading import Thread
 
 import numpy as np
 import torch
@@ -31,8 +33,12 @@ def _filled_memory() -> Iterator[None]:
 
 
 # Release 2025.7 never sets a flag that it reads: where the memory it gets at its import holds zeros, isotropic
-# remeshing forgets the surface tolerance.
+# remeshing forgets the surface tolerance. glibc does not fill memory that a thread gets back from its own cache, so the
+# import runs in a new thread, whose cache is empty.
 with _filled_memory():
+    _importing = Thread(target=import_module, args=("pymeshlab",))
+    _importing.start()
+    _importing.join()
     import pymeshlab
 
 
