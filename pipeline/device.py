@@ -1,5 +1,7 @@
 """Choose where tensors live, and how many of them."""
 
+import ctypes
+import platform
 from functools import cache
 from typing import Any
 
@@ -8,13 +10,15 @@ from torch import Tensor
 
 from pipeline.errors import ConfigError
 
+_M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # of glibc's malloc.h; -1 never trims, 0 maps no allocation by itself
+
 
 def resolve_device(name: str) -> torch.device:
     """Turn `cpu`, `cuda` or `auto` (a GPU where there is one) into a device.
 
     On a GPU, convolutions then round their factors to TF32; matrix products do not, which would move projected vertices
-    (docs/decisions.md). Raises ConfigError for any other name, and for
-    `cuda` on a machine without a GPU.
+    (docs/decisions.md). This process keeps the memory it frees from then on. Raises ConfigError for any other name, and
+    for `cuda` on a machine without a GPU.
     """
     if name not in ("auto", "cpu", "cuda"):
         raise ConfigError(f"device is '{name}'; expected auto, cpu or cuda")
@@ -22,9 +26,22 @@ def resolve_device(name: str) -> torch.device:
         raise ConfigError("device is 'cuda' but PyTorch finds no GPU here; set device to auto or cpu")
     torch.backends.cudnn.conv.fp32_precision = "tf32"  # pyright: ignore[reportAttributeAccessIssue]
     torch.backends.cuda.matmul.fp32_precision = "ieee"
+    keep_freed_memory()
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     return torch.device(name)
+
+
+def keep_freed_memory() -> None:
+    """Let this process use the memory it frees again, where its C library is glibc.
+
+    Otherwise every large tensor is memory that the system has just cleared, page by page: a quarter of a training step
+    (docs/decisions.md). Nothing is given back before the process ends.
+    """
+    if platform.libc_ver()[0] == "glibc":
+        libc = ctypes.CDLL(None)
+        libc.mallopt(_M_MMAP_MAX, 0)
+        libc.mallopt(_M_TRIM_THRESHOLD, -1)
 
 
 def resolve_memory(gibibytes: Any) -> int:

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
@@ -19,6 +19,9 @@ from pipeline.errors import ConfigError
 from pipeline.losses.image_distance import Features, feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, Reconstruction
+
+_SAME_SIDE = 90.0
+"""Degrees of azimuth, either way, in which poses show the same end of an object."""
 
 FIRST_HEAD = 2
 """Index of the ensemble's first candidate, after the recorded pose and the student's."""
@@ -50,11 +53,14 @@ class ExplorationConfig:
     """The same in shape parameters."""
     shape_spread: float
     """Standard deviation of random shapes around the base shape, in shape parameters."""
+    azimuth_reach: float
+    """Largest angle, in degrees, between the azimuths of a winner and of the record; 180 admits all."""
 
 
 def refining(config: ExplorationConfig) -> ExplorationConfig:
-    """Return the config without the candidates that lie far from the recorded pose."""
-    return replace(config, random_poses=0, turned_poses=0, flipped_poses=0)
+    """Return the config without candidates from another side of the object than the recorded pose."""
+    reach = min(config.azimuth_reach, _SAME_SIDE)
+    return replace(config, random_poses=0, turned_poses=0, flipped_poses=0, azimuth_reach=reach)
 
 
 class Record(NamedTuple):
@@ -187,10 +193,19 @@ def explore(
     """Find the candidate nearest to each photograph."""
     poses, shapes = candidates(model, estimate, record, config, rng)
     losses = score(model, extractor, photographs, estimate, poses, shapes, config.map_weights)
-    lowest, winner = losses.min(dim=0)
+    far = ~within_reach(poses, record.pose, config.azimuth_reach)
+    lowest, winner = losses.masked_fill(far, math.inf).min(dim=0)
     photograph = torch.arange(len(winner), device=winner.device)
     head = losses[FIRST_HEAD : FIRST_HEAD + estimate.heads.shape[1]].argmin(dim=0)
     return Best(Record(poses[winner, photograph], shapes[winner, photograph]), lowest, head, winner)
+
+
+def within_reach(
+    poses: Float[Tensor, "candidates B 7"], recorded: Float[Tensor, "B 7"], azimuth_reach: float
+) -> Bool[Tensor, "candidates B"]:
+    """Tell which candidates' azimuths lie within some degrees of the recorded ones."""
+    cosine = (poses[..., :2] * recorded[:, :2]).sum(dim=-1)
+    return cosine >= math.cos(math.radians(azimuth_reach)) - 1e-5
 
 
 def flipped(pose: Float[Tensor, "B 7"], count: int) -> Float[Tensor, "count B 7"]:

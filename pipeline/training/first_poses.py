@@ -15,6 +15,7 @@ from torch import Tensor
 from torch.nn import functional
 from tqdm import tqdm
 
+from pipeline.datasets.images import Images
 from pipeline.distributed import average_gradients, share, silent
 from pipeline.losses.image_distance import pairwise_feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
@@ -71,7 +72,7 @@ def first_poses(
     the renderings that vote for the azimuth.
     """
     images = photographs.float() / 255
-    estimated = estimate_boxes(model, images)
+    estimated = read_poses(model, photographs)
     cuts = cut_to_box(images, model.poses, estimated, config.box_size)
     rendered, poses = _renderings(model, scenes, config, warm_up, rng)
     votes = count_votes(_distances(cuts, rendered, extractor), config.temperature)
@@ -112,10 +113,11 @@ def learn_poses(
 
 
 @torch.no_grad()
-def estimate_boxes(model: FullModel, images: Float[Tensor, "N 3 H W"]) -> Float[Tensor, "N 7"]:
+def read_poses(model: FullModel, photographs: Images) -> Float[Tensor, "N 7"]:
     """Return the student's pose coordinates, averaged with what it says of the mirror image."""
     estimates = []
-    for batch in images.split(_CHUNK):
+    for images in photographs.split(_CHUNK):
+        batch = images.float() / 255
         here, there = model.pose_decoder(model.pose_encoder(torch.cat([batch, batch.flip(-1)]))).chunk(2)
         estimates.append((here + model.poses.mirror(there)) / 2)
     return model.poses.clamp(torch.cat(estimates))

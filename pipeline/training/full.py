@@ -32,7 +32,7 @@ from pipeline.training.exploration import (
     refining,
     require_maps,
 )
-from pipeline.training.first_poses import FirstPosesConfig, first_poses, learn_poses
+from pipeline.training.first_poses import FirstPosesConfig, first_poses, learn_poses, read_poses
 from pipeline.training.full_losses import FullLoss, LossConfig
 from pipeline.training.photographs import Photographs
 from pipeline.training.warm_up import WarmUpConfig, warm_up
@@ -65,8 +65,8 @@ class FullTrainingConfig:
     first_poses: FirstPosesConfig | None
     """None leaves records at the paper's random poses."""
     settle: int
-    """Iterations in which first poses are refined but no random, turned or flipped ones are tried: textures that mean
-    nothing yet would choose among them blindly (docs/decisions.md)."""
+    """Iterations in which first poses are refined but keep the end of the object they show: textures that mean nothing
+    yet would choose blindly (docs/decisions.md)."""
     exploration: ExplorationConfig
     loss: LossConfig
     discriminator_width: int
@@ -140,11 +140,15 @@ class FullTrainer:
         warm_up(self.model, scenes, config.warm_up, self.rng)
         if first is None:
             return
-        images = self.photographs.images[: first.photographs]
+        photographs = self.photographs.images
+        images = photographs[: first.photographs]
         poses = first_poses(self.model, scenes, self.extractor, images, first, config.warm_up, self.rng)
         agree([poses])
         learn_poses(self.model, images, poses, first, config.warm_up, self.rng)
-        self.record = Record(torch.cat([poses, self.record.pose[len(poses) :]]), self.record.shape)
+        if len(poses) < len(photographs):
+            poses = torch.cat([poses, read_poses(self.model, photographs)[len(poses) :]])
+            agree([poses])
+        self.record = Record(poses, self.record.shape)
 
     def estimate(self, images: Float[Tensor, "B 3 H W"]) -> Estimate:
         """Run all encoders and decoders on a batch of photographs."""

@@ -9,7 +9,17 @@ from pipeline.losses.image_distance import feature_distance
 from pipeline.networks.feature_extractor import extract
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.seeding import generator
-from pipeline.training.exploration import Estimate, Record, candidates, comparable, explore, first_record, score
+from pipeline.training.exploration import (
+    Estimate,
+    Record,
+    candidates,
+    comparable,
+    explore,
+    first_record,
+    refining,
+    score,
+    within_reach,
+)
 from tests.tiny_full_model import TRAINING, photographs, tiny_extractor, tiny_model
 
 CONFIG = TRAINING.exploration
@@ -127,3 +137,27 @@ def test_gradients_reach_the_head_whose_pose_won() -> None:
     best.record.pose.sum().backward()
     assert heads.grad is not None
     assert (heads.grad.abs().sum(dim=2) > 0).tolist() == [[False, True]]
+
+
+def test_a_refined_record_keeps_its_side_even_where_the_other_one_fits() -> None:
+    model, extractor = tiny_model(), tiny_extractor()
+    estimate, truth = estimate_of(model, 3), first_record(model, 3, generator(0))
+    features = extractor(pictures_of(model, estimate, truth))
+    opposite = torch.cat([-truth.pose[:, :2], truth.pose[:, 2:]], 1)
+    estimate = estimate._replace(student=truth.pose, heads=torch.stack([truth.pose, opposite], dim=1))
+    record = truth._replace(pose=opposite)
+    free = explore(model, extractor, features, estimate, record, CONFIG, generator(1))
+    assert free.winner.tolist() == [1, 1, 1]
+    kept = explore(model, extractor, features, estimate, record, refining(CONFIG), generator(1))
+    assert within_reach(kept.record.pose[None], opposite, 90).all()
+    assert (kept.losses > free.losses).all()
+    assert kept.head.tolist() == [0, 0, 0]  # heads are compared wherever they are: they stand for both answers
+
+
+def test_reach_is_an_angle_between_azimuths() -> None:
+    angles = torch.deg2rad(torch.tensor([0.0, 29.0, -29.0, 31.0, 180.0]))
+    turned = torch.cat([angles.cos()[:, None], angles.sin()[:, None], torch.rand(5, 5, generator=generator(0))], 1)
+    recorded = turned[:1]
+    near = within_reach(turned[:, None], recorded, 30)[:, 0]
+    assert near.tolist() == [True, True, True, False, False]
+    assert within_reach(turned[:, None], recorded, 180).all()

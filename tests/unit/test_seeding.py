@@ -1,12 +1,9 @@
 """Named streams of random numbers are independent and repeat."""
 
 import numpy as np
-import pytest
 import torch
 from torch import nn
 
-from pipeline.device import resolve_device
-from pipeline.errors import ConfigError
 from pipeline.seeding import generator, initialised, numpy_generator
 
 
@@ -42,16 +39,3 @@ def test_initial_weights_repeat_and_the_global_state_is_untouched() -> None:
     assert torch.equal(layers[0], layers[1])
     assert not torch.equal(layers[0], layers[2])
     assert torch.equal(before, torch.random.get_rng_state())
-
-
-def test_devices_are_checked() -> None:
-    assert resolve_device("cpu") == torch.device("cpu")
-    with pytest.raises(ConfigError, match="device is 'gpu'; expected auto, cpu or cuda"):
-        resolve_device("gpu")
-
-
-@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_a_missing_gpu_is_an_error() -> None:
-    assert resolve_device("auto") == torch.device("cpu")
-    with pytest.raises(ConfigError, match="no GPU"):
-        resolve_device("cuda")

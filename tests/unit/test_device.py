@@ -1,0 +1,47 @@
+"""Devices, and the memory that a process keeps."""
+
+import platform
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from pipeline.device import resolve_device
+from pipeline.errors import ConfigError
+
+FAULTS = """
+import resource, sys, torch
+if sys.argv[1:]:
+    from pipeline.device import resolve_device
+    resolve_device("cpu")
+
+def large_tensors(): [torch.ones(2**24) for _ in range(5)]
+
+for _ in range(8): large_tensors()
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+large_tensors()
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+def test_devices_are_checked() -> None:
+    assert resolve_device("cpu") == torch.device("cpu")
+    with pytest.raises(ConfigError, match="device is 'gpu'; expected auto, cpu or cuda"):
+        resolve_device("gpu")
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_a_missing_gpu_is_an_error() -> None:
+    assert resolve_device("auto") == torch.device("cpu")
+    with pytest.raises(ConfigError, match="no GPU"):
+        resolve_device("cuda")
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc's allocator can be told so")
+def test_large_tensors_come_from_memory_that_was_freed() -> None:
+    def page_faults(*arguments: str) -> int:
+        command = [sys.executable, "-c", FAULTS, *arguments]
+        return int(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+
+    assert page_faults("keep") < 50 < 5000 < page_faults()
