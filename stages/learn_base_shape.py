@@ -12,7 +12,7 @@ from pipeline.distributed import is_first
 from pipeline.files import save_tensors, write_json
 from pipeline.launch import share_work
 from pipeline.networks.feature_extractor import load_feature_extractor
-from pipeline.networks.scene_generator import scene_texts
+from pipeline.networks.scene_generator import scene_tensors, scene_texts
 from pipeline.training.base_shape import BaseShapeConfig, BaseShapes, learn_base_shape
 from pipeline.training.checkpoint import Checkpoint, restart_key
 from stages.command_line import parse, run
@@ -27,7 +27,7 @@ def main() -> None:
 
 
 def learn(arguments: Namespace, device: torch.device) -> None:
-    """Learn every seed's shape, then write all of them and the best one's generators."""
+    """Learn every seed's shape, then write all of them with their generators."""
     config = load(arguments.params, BaseShapeConfig, arguments.sections)
     memory = resolve_memory(scalar(arguments.params, "memory"))
     key = restart_key(config, [arguments.images, arguments.features], arguments.seed)
@@ -51,16 +51,16 @@ def learn(arguments: Namespace, device: torch.device) -> None:
 
 
 def save(shapes: BaseShapes, path: Path) -> None:
-    """Write the chosen shape, all seeds' shapes and scores, and the chosen generators."""
+    """Write the chosen shape, and all seeds' shapes, scores and generators."""
     tensors = {
         "vertices": shapes.vertices[shapes.best],
         "faces": shapes.sphere.faces,
         "directions": shapes.sphere.directions,
         "seed_vertices": shapes.vertices,
         "seed_scores": shapes.scores,
-        **shapes.generator.state_dict(),
+        **scene_tensors(shapes.generators),
     }
-    save_tensors(path, tensors, scene_texts(shapes.generator))
+    save_tensors(path, tensors, scene_texts(shapes.generators[0]))
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Noise -> shape, texture and background of a category (paper 3.1, Fig. 4)."""
 
 import json
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -119,18 +120,45 @@ class SceneGenerator(nn.Module):
         return torch.randn(count, self.config.generator.latent_size, generator=rng, device=rng.device)
 
 
+class LearnedScenes(NamedTuple):
+    """What base-shape learning leaves: every seed's generators, and the mesh that their vertices belong to.
+
+    Attributes:
+        generators: in evaluation mode; those of the chosen base shape first.
+        faces: counter-clockwise from outside.
+        directions: unit vectors, the texture domain.
+    """
+
+    generators: list[SceneGenerator]
+    faces: Int[Tensor, "F 3"]
+    directions: Float[Tensor, "V 3"]
+
+
+def scene_tensors(generators: Sequence[SceneGenerator]) -> dict[str, Tensor]:
+    """Stack the weights of generators that differ in nothing else, to be written into one file."""
+    states = [generator.state_dict() for generator in generators]
+    return {name: torch.stack([state[name] for state in states]) for name in states[0]}
+
+
 def scene_texts(generator: SceneGenerator) -> dict[str, str]:
     """Return what has to stand beside the weights in a file to build the generators again."""
     return {"scene": json.dumps(asdict(generator.config), sort_keys=True)}
 
 
-def load_scene_generator(path: Path, device: torch.device) -> SceneGenerator:
-    """Load the generators of the chosen base shape, in evaluation mode."""
+def load_scenes(path: Path, device: torch.device) -> LearnedScenes:
+    """Load what `learn_base_shape` wrote."""
     tensors, texts = load_tensors(path)
     config = from_json(texts["scene"], SceneConfig, path)
-    generator = SceneGenerator(config, tensors["initial_vertices"], tensors["mirror_index"])
-    generator.load_state_dict({name: tensors[name] for name in generator.state_dict()})
-    return generator.to(device).eval()
+    best = int(tensors["seed_scores"].argmin())
+    order = sorted(range(len(tensors["seed_scores"])), key=lambda seed: seed != best)
+    generators = [_build(config, tensors, seed).to(device).eval() for seed in order]
+    return LearnedScenes(generators, tensors["faces"].to(device), tensors["directions"].to(device))
+
+
+def _build(config: SceneConfig, tensors: Mapping[str, Tensor], seed: int) -> SceneGenerator:
+    generator = SceneGenerator(config, tensors["initial_vertices"][seed], tensors["mirror_index"][seed])
+    generator.load_state_dict({name: tensors[name][seed] for name in generator.state_dict()})
+    return generator
 
 
 def _texture_generator(config: SceneConfig) -> nn.Module:

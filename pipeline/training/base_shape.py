@@ -87,7 +87,7 @@ class BaseShapes(NamedTuple):
         vertices: one shape a seed, in the unit cube.
         scores: label-free score of each seed; lower is better.
         best: index of the seed with the lowest score.
-        generator: the best seed's generators.
+        generators: every seed's.
         curve: losses of all seeds.
     """
 
@@ -95,7 +95,7 @@ class BaseShapes(NamedTuple):
     vertices: Float[Tensor, "K V 3"]
     scores: Float[Tensor, " K"]
     best: int
-    generator: SceneGenerator
+    generators: list[SceneGenerator]
     curve: Curve
 
 
@@ -221,7 +221,8 @@ def learn_base_shape(
     best = min(range(config.seeds), key=scores.__getitem__)
     curve = Curve([row for one in learned for row in one.rows])
     vertices = torch.stack([one.vertices for one in learned])
-    return BaseShapes(sphere, vertices, torch.tensor(scores), best, learned[best].generator, curve)
+    generators = [one.generator for one in learned]
+    return BaseShapes(sphere, vertices, torch.tensor(scores), best, generators, curve)
 
 
 def _train(trainer: SeedTrainer, checkpoint: Checkpoint) -> Curve:

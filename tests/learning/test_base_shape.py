@@ -82,8 +82,9 @@ def test_a_killed_run_resumes_to_the_same_bytes(
     assert torch.equal(resumed.vertices, whole.vertices)
     assert torch.equal(resumed.scores, whole.scores)
     assert resumed.curve.rows == whole.curve.rows
-    weights = resumed.generator.state_dict()
-    assert all(torch.equal(weights[name], value) for name, value in whole.generator.state_dict().items())
+    for ours, theirs in zip(resumed.generators, whole.generators, strict=True):
+        weights = ours.state_dict()
+        assert all(torch.equal(weights[name], value) for name, value in theirs.state_dict().items())
 
 
 def test_seeds_differ_and_the_lowest_score_wins(

@@ -15,7 +15,8 @@ from pipeline.networks.scene_generator import (
     Scene,
     SceneConfig,
     SceneGenerator,
-    load_scene_generator,
+    load_scenes,
+    scene_tensors,
     scene_texts,
 )
 from pipeline.seeding import generator, initialised
@@ -32,9 +33,9 @@ CONFIG = GeneratorConfig(
 ALL = ConstraintConfig(smoothness=True, symmetry=True, texture_simplicity=True, background_simplicity=True)
 
 
-def build(config: GeneratorConfig = CONFIG, constraints: ConstraintConfig = ALL) -> SceneGenerator:
+def build(config: GeneratorConfig = CONFIG, constraints: ConstraintConfig = ALL, seed: int = 0) -> SceneGenerator:
     vertices, _ = icosphere(1)
-    with initialised(0):
+    with initialised(seed):
         return SceneGenerator(SceneConfig(config, constraints, 2, 8), vertices, mirror_index(vertices))
 
 
@@ -89,8 +90,13 @@ def test_every_generator_receives_gradients() -> None:
     assert all(parameter.grad is not None and parameter.grad.isfinite().all() for parameter in model.parameters())
 
 
-def test_generators_survive_their_file(tmp_path: Path) -> None:
-    model = build().eval()
-    save_tensors(tmp_path / "scene.safetensors", model.state_dict(), scene_texts(model))
-    loaded = load_scene_generator(tmp_path / "scene.safetensors", torch.device("cpu"))
-    assert all(torch.equal(a, b) for a, b in zip(scene(loaded), scene(model), strict=True))
+def test_generators_survive_their_file_and_the_chosen_ones_come_first(tmp_path: Path) -> None:
+    models = [build(seed=seed).eval() for seed in range(3)]
+    directions, faces = icosphere(1)
+    tensors = {"seed_scores": torch.tensor([0.5, 0.4, 0.1]), "faces": faces, "directions": directions}
+    save_tensors(tmp_path / "scene.safetensors", {**tensors, **scene_tensors(models)}, scene_texts(models[0]))
+    loaded = load_scenes(tmp_path / "scene.safetensors", torch.device("cpu"))
+    assert torch.equal(loaded.faces, faces)
+    assert torch.equal(loaded.directions, directions)
+    for ours, theirs in zip(loaded.generators, [models[2], models[0], models[1]], strict=True):
+        assert all(torch.equal(a, b) for a, b in zip(scene(ours), scene(theirs), strict=True))
