@@ -14,7 +14,7 @@ from pipeline.geometry.camera import pose_to_tensor
 from pipeline.launch import share_work
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.full_model import full_model_texts
-from pipeline.networks.scene_generator import load_scene_generator
+from pipeline.networks.scene_generator import load_scenes
 from pipeline.training.checkpoint import Checkpoint, restart_key
 from pipeline.training.full import FullTrainer, FullTrainingConfig, load_base, train_full
 from stages.command_line import parse, run
@@ -40,7 +40,7 @@ def train(arguments: Namespace, device: torch.device) -> None:
         memory,
         load_feature_extractor(arguments.features, device),
         load_base(config, arguments.mesh, device),
-        load_scene_generator(arguments.base_shape, device),
+        load_scenes(arguments.base_shape, device),
         arguments.seed,
         checkpoint,
     )

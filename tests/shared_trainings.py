@@ -79,7 +79,7 @@ def _base_shape() -> dict[str, Tensor]:
 
 def _warm_up() -> dict[str, Tensor]:
     trainer, (images, poses) = _full_trainer(), photographs(8)
-    warm_up(trainer.model, tiny_scenes(), TRAINING.warm_up, trainer.rng)
+    warm_up(trainer.model, tiny_scenes().generators[0], TRAINING.warm_up, trainer.rng)
     warmed_up = _weights("warm-up", trainer.model)
     trainer = _full_trainer()
     assert TRAINING.first_poses is not None

@@ -15,7 +15,13 @@ from pipeline.networks.encoders import EncoderConfig
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, FullModelConfig, Reconstruction, ShapeConfig
 from pipeline.networks.pose_coordinates import PoseRange
-from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, SceneConfig, SceneGenerator
+from pipeline.networks.scene_generator import (
+    ConstraintConfig,
+    GeneratorConfig,
+    LearnedScenes,
+    SceneConfig,
+    SceneGenerator,
+)
 from pipeline.networks.wide_resnet import WideResNet
 from pipeline.rendering.renderer import Mesh, RendererConfig
 from pipeline.seeding import generator, initialised
@@ -52,9 +58,7 @@ TRAINING = FullTrainingConfig(
     model=MODEL,
     ellipsoid=EllipsoidConfig((0.5, 0.5, 1.0), 2),
     warm_up=WarmUpConfig(2, 4, 1e-3, (0.9, 0.99), LightConfig(0.5, 0.5), 0.3, 0.1),
-    first_poses=FirstPosesConfig(
-        8, 0.5, 0.1, 0.1, 0.85, 1.0, 20.0, ConsensusConfig(1, 0.4, 4, 0.3, 0.3, 2, 3.0), 100, 2
-    ),
+    first_poses=FirstPosesConfig(8, 0.5, 0.1, 0.85, 1.0, 20.0, ConsensusConfig(1, 0.4, 4, 0.3, 0.3, 2, 3.0), 100, 2),
     settle=2,
     exploration=ExplorationConfig((0.1, 1.0, 2.0), 1, 2, 3, 2, 1, 1, (0.02, 0.2), (0.02, 0.2), 0.5, 180.0),
     loss=LossConfig(0.1, 1.0, 1.0, 1.0, 1.0, 0.1, 0.1, SmoothnessConfig(1.0, 0.0, 0.0, 0.01, 0.0, 0.0)),
@@ -107,11 +111,17 @@ def photographs_of(coordinates: Float[Tensor, "N 7"]) -> UInt8[Tensor, "N 3 32 3
     return (pictures.clamp(0, 1) * 255).round().to(torch.uint8)
 
 
-def tiny_scenes() -> SceneGenerator:
-    """Build untrained generators of textures and backgrounds."""
-    directions, _ = icosphere(1)
-    generator = GeneratorConfig(8, 8, 1.0, 4, 8, 8, mirror_texture=True)
+def tiny_scenes() -> LearnedScenes:
+    """Build generators whose shapes are nearly the base mesh, and whose textures and backgrounds are untrained.
+
+    With these seeds colours are various enough for a warm-up to find objects in other pictures.
+    """
+    base = base_mesh()
+    generator = GeneratorConfig(8, 8, 0.1, 4, 8, 8, mirror_texture=True)
     constraints = ConstraintConfig(smoothness=True, symmetry=True, texture_simplicity=True, background_simplicity=True)
-    with initialised(0):
-        config = SceneConfig(generator, constraints, 2, MODEL.renderer.size)
-        return SceneGenerator(config, directions, mirror_index(directions)).eval()
+    config = SceneConfig(generator, constraints, 2, MODEL.renderer.size)
+    generators = []
+    for seed in (4, 5):
+        with initialised(seed):
+            generators.append(SceneGenerator(config, base.vertices[0], mirror_index(base.directions)).eval())
+    return LearnedScenes(generators, base.faces, base.directions)

@@ -78,6 +78,21 @@ def agree_on_azimuths(
     return probabilities
 
 
+def join_votes(votes: Float[Tensor, "G N azimuths"]) -> Float[Tensor, "N azimuths"]:
+    """Add the votes of several generators, which learned from the same photographs, in the frame of the first.
+
+    Which end of a learned shape is its front is chance. So generators are taken in the order in which they agree with
+    those before them about the ends of photographs, and turned round where they agree better then.
+    """
+    joined, *others = (standardize(scores) for scores in votes)
+    while others:
+        agreements = [_agreement_on_ends(joined, scores) for scores in others]
+        strongest = max(range(len(others)), key=lambda index: abs(agreements[index]))
+        scores = others.pop(strongest)
+        joined = joined + (scores if agreements[strongest] >= 0 else _opposite(scores))
+    return joined
+
+
 def bins(device: torch.device) -> Float[Tensor, " azimuths"]:
     """Return the azimuths of the bins in radians."""
     return torch.arange(AZIMUTHS, device=device) * (2 * math.pi / AZIMUTHS)
@@ -201,6 +216,13 @@ def judge(
         here, there = judged @ weights @ waves.T
         scores[fold == held_out] = here + mirrored(there)
     return scores
+
+
+def _agreement_on_ends(first: Float[Tensor, "N azimuths"], second: Float[Tensor, "N azimuths"]) -> float:
+    """Correlate what scores say of opposite azimuths, beyond what they say of all photographs: from -1 to 1."""
+    ends = [scores - _opposite(scores) for scores in (first, second)]
+    ends = [values - values.mean(dim=0) for values in ends]
+    return torch.cosine_similarity(ends[0].flatten(), ends[1].flatten(), dim=0).item()
 
 
 def _opposite(values: Float[Tensor, "... azimuths"]) -> Float[Tensor, "... azimuths"]:

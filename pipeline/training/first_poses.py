@@ -1,13 +1,13 @@
 """First poses of photographs, before full training (ours).
 
 The best pose of a photograph cannot be found by rendering while its texture is unknown. But base-shape learning leaves
-a generator of such textures: a photograph resembles renderings from its own side more than others, whatever their
-paint. Photographs and renderings are cut to the object's box, and renderings vote for their azimuths on the
+generators of such textures, one a seed: a photograph resembles renderings from its own side more than others, whatever
+their paint. Photographs and renderings are cut to the object's box, and renderings vote for their azimuths on the
 photographs that resemble them. Renderings that resemble every photograph say nothing, so each one's mean distance is
-taken off first. `azimuths` then makes the votes consistent.
+taken off first. `azimuths` then joins the votes of all generators and makes them consistent.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float, UInt8
@@ -21,9 +21,11 @@ from pipeline.losses.image_distance import pairwise_feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_coordinates import PoseCoordinates
-from pipeline.networks.scene_generator import SceneGenerator
-from pipeline.training.azimuths import ConsensusConfig, agree_on_azimuths, bins
-from pipeline.training.warm_up import WarmUpConfig, render_sample
+from pipeline.networks.scene_generator import LearnedScenes, SceneGenerator
+from pipeline.rendering.renderer import Mesh, render
+from pipeline.training.azimuths import ConsensusConfig, agree_on_azimuths, bins, join_votes
+from pipeline.training.viewpoints import LightConfig, sample_lights
+from pipeline.training.warm_up import WarmUpConfig
 
 _CHUNK = 250
 
@@ -33,9 +35,8 @@ class FirstPosesConfig:
     """Settings of the first poses.
 
     Attributes:
-        renderings: how many renderings each photograph is compared with.
+        renderings: how many of each generator's renderings a photograph is compared with.
         pose_reach: part of the ranges of roll and box that they cover: few photographs are at the ends.
-        shape_spread: standard deviation of their shapes around the base shape, in shape parameters.
         box_jitter: standard deviation of errors put on their boxes, in pose coordinates: photographs' are estimates.
         box_size: longer side of the box over the side of a cut picture.
         temperature: of the vote, in standard deviations of a photograph's distances; small ones let the nearest decide.
@@ -46,7 +47,6 @@ class FirstPosesConfig:
 
     renderings: int
     pose_reach: float
-    shape_spread: float
     box_jitter: float
     box_size: float
     temperature: float
@@ -59,29 +59,31 @@ class FirstPosesConfig:
 @torch.no_grad()
 def first_poses(
     model: FullModel,
-    scenes: SceneGenerator,
+    scenes: LearnedScenes,
     extractor: FeatureExtractor,
     photographs: UInt8[Tensor, "N 3 H W"],
     config: FirstPosesConfig,
-    warm_up: WarmUpConfig,
+    light: LightConfig,
     rng: torch.Generator,
 ) -> Float[Tensor, "N 7"]:
     """Return pose coordinates of photographs of mirror-symmetric objects.
 
     Where the objects are is what the model's student, warmed up on renderings, says; elevation and roll are those of
-    the renderings that vote for the azimuth.
+    the chosen generator's renderings that vote for the azimuth.
     """
-    images = photographs.float() / 255
     estimated = read_poses(model, photographs)
-    cuts = cut_to_box(images, model.poses, estimated, config.box_size)
-    rendered, poses = _renderings(model, scenes, config, warm_up, rng)
-    votes = count_votes(_distances(cuts, rendered, extractor), config.temperature)
+    cuts = cut_to_box(photographs.float() / 255, model.poses, estimated, config.box_size)
+    poses = _rendered_poses(model, config, rng)
     kernel = _kernel(poses, config.concentration)
-    by_azimuth = ((votes @ kernel) / kernel.sum(dim=0)).log()
+    votes = []
+    for generator in tqdm(scenes.generators, "votes", disable=silent()):
+        rendered = _cut_renderings(model, scenes, generator, poses, config, light, rng)
+        votes.append(count_votes(_distances(cuts, rendered, extractor), config.temperature))
+    by_azimuth = join_votes(torch.stack([((vote @ kernel) / kernel.sum(dim=0)).log() for vote in votes]))
     winner = agree_on_azimuths(by_azimuth, cuts, extractor, config.consensus, rng).argmax(dim=1)
-    near = votes * kernel.T[winner]
+    near = votes[0] * kernel.T[winner]
     elevation_and_roll = (near @ poses[:, 2:4]) / near.sum(dim=1, keepdim=True)
-    azimuth = bins(images.device)[winner, None]
+    azimuth = bins(poses.device)[winner, None]
     return torch.cat([azimuth.cos(), azimuth.sin(), elevation_and_roll, estimated[:, 4:]], 1)
 
 
@@ -144,18 +146,32 @@ def count_votes(distances: Float[Tensor, "N K"], temperature: float) -> Float[Te
     return (-distances / temperature).softmax(dim=1)
 
 
-def _renderings(
-    model: FullModel, scenes: SceneGenerator, config: FirstPosesConfig, warm_up: WarmUpConfig, rng: torch.Generator
-) -> tuple[Float[Tensor, "K 3 H W"], Float[Tensor, "K 7"]]:
-    """Render the base shape from everywhere, cut to boxes that are as wrong as those of photographs."""
-    clean = replace(warm_up, noise=0.0, shape_spread=config.shape_spread)
+def _rendered_poses(model: FullModel, config: FirstPosesConfig, rng: torch.Generator) -> Float[Tensor, "K 7"]:
     poses = model.poses.draw(config.renderings, rng)
     poses[:, 3:] *= config.pose_reach
-    batches = [render_sample(model, scenes, batch, clean, rng) for batch in poses.split(_CHUNK)]
-    images = torch.cat([batch.images for batch in batches])
+    return poses
+
+
+def _cut_renderings(
+    model: FullModel,
+    scenes: LearnedScenes,
+    generator: SceneGenerator,
+    poses: Float[Tensor, "K 7"],
+    config: FirstPosesConfig,
+    light: LightConfig,
+    rng: torch.Generator,
+) -> Float[Tensor, "K 3 H W"]:
+    """Render a generator's objects, cut to boxes that are as wrong as those of photographs."""
+    batches = []
+    for pose in poses.split(_CHUNK):
+        scene = generator(generator.sample_noise(len(pose), rng))
+        mesh = Mesh(scene.vertices, scenes.faces, scenes.directions)
+        placed, lights = model.poses(pose, scene.vertices), sample_lights(light, len(pose), rng)
+        renderer = model.config.renderer
+        batches.append(render(mesh, scene.texture_maps, placed, scene.backgrounds, lights, renderer).images)
     error = config.box_jitter * torch.randn(len(poses), 3, generator=rng, device=rng.device)
     boxes = torch.cat([poses[:, :4], poses[:, 4:] + error], 1)
-    return cut_to_box(images, model.poses, boxes, config.box_size), poses
+    return cut_to_box(torch.cat(batches), model.poses, boxes, config.box_size)
 
 
 def _distances(

@@ -18,7 +18,7 @@ from pipeline.networks.discriminator import ViewDiscriminator
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, FullModelConfig
 from pipeline.networks.pose_coordinates import POSE_COORDINATES
-from pipeline.networks.scene_generator import SceneGenerator
+from pipeline.networks.scene_generator import LearnedScenes
 from pipeline.rendering.renderer import Mesh
 from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, Part, pack, read_losses, unpack
@@ -131,18 +131,18 @@ class FullTrainer:
         self.optimizer.step()
         return {name: average(loss.detach()) for name, loss in losses.items()}
 
-    def start_from(self, scenes: SceneGenerator) -> None:
-        """Learn to read the base shape's renderings, and record first poses of the first photographs from them.
+    def start_from(self, scenes: LearnedScenes) -> None:
+        """Learn to read the base shape's renderings; record first poses of the first photographs from all seeds' ones.
 
         The pose networks, which learn them, read the poses of the others.
         """
         config, first = self.config, self.config.first_poses
-        warm_up(self.model, scenes, config.warm_up, self.rng)
+        warm_up(self.model, scenes.generators[0], config.warm_up, self.rng)
         if first is None:
             return
         photographs = self.photographs.images
         images = photographs[: first.photographs]
-        poses = first_poses(self.model, scenes, self.extractor, images, first, config.warm_up, self.rng)
+        poses = first_poses(self.model, scenes, self.extractor, images, first, config.warm_up.light, self.rng)
         agree([poses])
         learn_poses(self.model, images, poses, first, config.warm_up, self.rng)
         if len(poses) < len(photographs):
@@ -198,14 +198,14 @@ def train_full(
     memory: int,
     extractor: FeatureExtractor,
     base: Mesh,
-    scenes: SceneGenerator,
+    scenes: LearnedScenes,
     seed: int,
     checkpoint: Checkpoint,
 ) -> tuple[FullTrainer, Curve]:
     """Train the full model, going on from the checkpoint where there is one.
 
-    `scenes` are the base shape's generators, for the warm-up; `memory` is what photographs and their kept features may
-    take, in bytes. Raises TrainingDiverged when the loss is not finite.
+    `scenes` are base-shape learning's generators, for the warm-up and first poses; `memory` is what photographs and
+    their kept features may take, in bytes. Raises TrainingDiverged when the loss is not finite.
     """
     require_maps(config.exploration.map_weights, extractor, "train_full.exploration.map_weights")
     photographs = Photographs(images, extractor, config.batch_size, memory)

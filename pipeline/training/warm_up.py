@@ -76,15 +76,8 @@ def warm_up(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng:
 
 
 def draw_sample(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: torch.Generator) -> Sample:
-    """Render deformed base shapes from random poses: this process's share of the batch."""
-    return _render(model, scenes, share(_draw(model, scenes, model.poses.draw(config.batch_size, rng), config, rng)))
-
-
-def render_sample(
-    model: FullModel, scenes: SceneGenerator, pose: Float[Tensor, "B 7"], config: WarmUpConfig, rng: torch.Generator
-) -> Sample:
-    """Render deformed base shapes with generated textures and backgrounds and random lights."""
-    return _render(model, scenes, _draw(model, scenes, pose, config, rng))
+    """Render deformed base shapes with generated textures and backgrounds: this process's share of the batch."""
+    return _render(model, scenes, share(_draw(model, scenes, config, rng)))
 
 
 def warm_up_loss(model: FullModel, sample: Sample) -> Float[Tensor, ""]:
@@ -109,10 +102,9 @@ def warm_up_loss(model: FullModel, sample: Sample) -> Float[Tensor, ""]:
     return heads + student + shapes + (drawn - images).abs().mean()
 
 
-def _draw(
-    model: FullModel, scenes: SceneGenerator, pose: Float[Tensor, "B 7"], config: WarmUpConfig, rng: torch.Generator
-) -> Draw:
-    count, size = len(pose), model.config.renderer.size
+def _draw(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: torch.Generator) -> Draw:
+    count, size = config.batch_size, model.config.renderer.size
+    pose = model.poses.draw(count, rng)
     noise = scenes.sample_noise(count, rng)
     shape = model.shapes.draw(count, config.shape_spread, rng)
     light = sample_lights(config.light, count, rng)

@@ -16,7 +16,6 @@ from tests.tiny_full_model import TRAINING, photographs, photographs_of, tiny_ex
 CONFIG = FirstPosesConfig(
     renderings=512,
     pose_reach=0.35,
-    shape_spread=0.15,
     box_jitter=0.15,
     box_size=0.85,
     temperature=1.0,
@@ -56,11 +55,11 @@ def test_votes_find_the_axis_and_their_consensus_the_front() -> None:
     model, scenes, extractor = tiny_model(), tiny_scenes(), tiny_extractor()
     images, coordinates = photographs(300)
     warm_up_config = replace(TRAINING.warm_up, iterations=100, batch_size=16, learning_rate=3e-3)
-    warm_up(model, scenes, warm_up_config, generator(0))
+    warm_up(model, scenes.generators[0], warm_up_config, generator(0))
 
     def cosines(rounds: int) -> Tensor:
         config = replace(CONFIG, consensus=replace(CONFIG.consensus, rounds=rounds))
-        poses = first_poses(model, scenes, extractor, images, config, warm_up_config, generator(1))
+        poses = first_poses(model, scenes, extractor, images, config, warm_up_config.light, generator(1))
         assert poses.shape == coordinates.shape
         return (poses[:, :2] * coordinates[:, :2]).sum(dim=1)
 

@@ -12,7 +12,7 @@ CONFIG = replace(TRAINING.warm_up, iterations=300, batch_size=16, learning_rate=
 
 
 def test_warm_up_teaches_where_objects_are_in_unseen_renderings() -> None:
-    model, scenes = tiny_model(), tiny_scenes()
+    model, scenes = tiny_model(), tiny_scenes().generators[0]
     images, pose, _ = draw_sample(model, scenes, replace(CONFIG, batch_size=64), generator(1))
 
     def error_of_box() -> float:
@@ -25,7 +25,7 @@ def test_warm_up_teaches_where_objects_are_in_unseen_renderings() -> None:
 
 
 def test_renderings_stay_in_range_and_differ() -> None:
-    images, _, shape = draw_sample(tiny_model(), tiny_scenes(), CONFIG, generator(2))
+    images, _, shape = draw_sample(tiny_model(), tiny_scenes().generators[0], CONFIG, generator(2))
     assert images.min() >= 0
     assert images.max() <= 1
     assert images.std(dim=0).mean() > 0.01

@@ -13,6 +13,7 @@ from pipeline.training.azimuths import (
     agree_on_azimuths,
     balance,
     bins,
+    join_votes,
     judge,
     mean_colors,
     mirrored,
@@ -71,6 +72,21 @@ def test_mirrored_takes_the_negated_azimuth() -> None:
     values = torch.cos(bins(torch.device("cpu")) - 0.7)
     torch.testing.assert_close(mirrored(values), torch.cos(bins(torch.device("cpu")) + 0.7))
     torch.testing.assert_close(mirrored(mirrored(values)), values)
+
+
+def test_votes_of_generators_add_up_in_the_frame_of_the_first() -> None:
+    azimuths = azimuths_of(COUNT)
+    fronts = torch.rand(3, COUNT, generator=generator(4)) < 0.7
+    voted = azimuths + torch.pi * ~fronts
+    voted[1] += torch.pi  # this generator's shape faces the other way
+    votes = torch.stack([votes_for(one) for one in voted])
+    joined = join_votes(votes)
+    of_each = [share_right(scores, azimuths) for scores in votes]
+    assert of_each[1] < 0.4
+    assert share_right(joined, azimuths) > max(of_each) + 0.05
+    torch.testing.assert_close(join_votes(votes[:1]), standardize(votes[0]))
+    turned = join_votes(torch.stack([votes[1], votes[0], votes[2]]))
+    assert share_right(turned, azimuths + torch.pi) == pytest.approx(share_right(joined, azimuths))
 
 
 def test_balance_gives_axes_their_share_and_opposite_azimuths_the_same_colours() -> None:

@@ -137,7 +137,7 @@ def test_an_iteration_of_base_shape_learning_waits_for_nothing(monkeypatch: pyte
 def test_an_iteration_of_the_warm_up_waits_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     model, scenes, rng = (
         tiny_model(renderer=replace(MODEL.renderer, supersampling=1)).to(DEVICE),
-        tiny_scenes().to(DEVICE),
+        tiny_scenes().generators[0].to(DEVICE),
         generator(0, device=DEVICE),
     )
     config = replace(TRAINING.warm_up, batch_size=2)
