@@ -33,10 +33,10 @@ def resolve_device(name: str) -> torch.device:
 
 
 def keep_freed_memory() -> None:
-    """Let this process use the memory it frees again, where its C library is glibc.
+    """Let this process use the memory again that its main thread frees, where its C library is glibc.
 
-    Otherwise every large tensor is memory that the system has just cleared, page by page: a quarter of a training step
-    (docs/decisions.md). Nothing is given back before the process ends.
+    Otherwise every large tensor is memory that the system has just cleared, page by page: a fifth of a training step
+    (docs/decisions.md). The system gets it back when the process ends.
     """
     if platform.libc_ver()[0] == "glibc":
         libc = ctypes.CDLL(None)

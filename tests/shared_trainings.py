@@ -10,6 +10,7 @@ from torch import Tensor, nn
 
 from pipeline.distributed import is_first, world
 from pipeline.files import save_tensors
+from pipeline.networks.scene_generator import scene_tensors
 from pipeline.training.base_shape import SeedTrainer, build_sphere, learn_base_shape
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.features import FeatureTrainer
@@ -37,7 +38,7 @@ def learn_seeds(folder: Path) -> None:
     images, _ = photographs(8)
     shapes = learn_base_shape(SEEDS, images[:, :, ::2, ::2], MEMORY, tiny_extractor(), 0, folder / "seeds", "key")
     if is_first():
-        tensors = {"vertices": shapes.vertices, "scores": shapes.scores, **shapes.generator.state_dict()}
+        tensors = {"vertices": shapes.vertices, "scores": shapes.scores, **scene_tensors(shapes.generators)}
         save_tensors(folder / "seeds.safetensors", tensors, {"curve": str(shapes.curve.rows)})
 
 

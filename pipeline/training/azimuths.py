@@ -81,15 +81,14 @@ def agree_on_azimuths(
 def join_votes(votes: Float[Tensor, "G N azimuths"]) -> Float[Tensor, "N azimuths"]:
     """Add the votes of several generators, which learned from the same photographs, in the frame of the first.
 
-    Which end of a learned shape is its front is chance. So generators are taken in the order in which they agree with
-    those before them about the ends of photographs, and turned round where they agree better then.
+    Which end of a learned shape is its front is chance, and without symmetry how it stands at all. So generators are
+    added in the order in which they agree with those before them, each turned as it then agrees best.
     """
     joined, *others = (standardize(scores) for scores in votes)
     while others:
-        agreements = [_agreement_on_ends(joined, scores) for scores in others]
-        strongest = max(range(len(others)), key=lambda index: abs(agreements[index]))
-        scores = others.pop(strongest)
-        joined = joined + (scores if agreements[strongest] >= 0 else _opposite(scores))
+        agreements = torch.stack([_agreements(joined, scores) for scores in others])
+        index, turn = divmod(int(agreements.argmax()), AZIMUTHS)
+        joined = joined + others.pop(index).roll(turn, dims=1)
     return joined
 
 
@@ -218,11 +217,11 @@ def judge(
     return scores
 
 
-def _agreement_on_ends(first: Float[Tensor, "N azimuths"], second: Float[Tensor, "N azimuths"]) -> float:
-    """Correlate what scores say of opposite azimuths, beyond what they say of all photographs: from -1 to 1."""
-    ends = [scores - _opposite(scores) for scores in (first, second)]
-    ends = [values - values.mean(dim=0) for values in ends]
-    return torch.cosine_similarity(ends[0].flatten(), ends[1].flatten(), dim=0).item()
+def _agreements(first: Float[Tensor, "N azimuths"], second: Float[Tensor, "N azimuths"]) -> Float[Tensor, " azimuths"]:
+    """Correlate scores, beyond what they say of all photographs, with others turned by every azimuth: from -1 to 1."""
+    first, second = (functional.normalize((scores - scores.mean(dim=0)).flatten(), dim=0) for scores in (first, second))
+    second = second.unflatten(0, (-1, AZIMUTHS))
+    return torch.stack([first @ second.roll(turn, dims=1).flatten() for turn in range(AZIMUTHS)])
 
 
 def _opposite(values: Float[Tensor, "... azimuths"]) -> Float[Tensor, "... azimuths"]:

@@ -21,7 +21,10 @@ from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, Reconstruction
 
 _SAME_SIDE = 90.0
-"""Degrees of azimuth, either way, in which poses show the same end of an object."""
+"""Degrees of azimuth, either way, beyond which a pose shows the object from the far side."""
+
+_BEYOND_REACH = 1e4
+"""Added to the distances of candidates that may not win: above any distance, so that they come last, in their order."""
 
 FIRST_HEAD = 2
 """Index of the ensemble's first candidate, after the recorded pose and the student's."""
@@ -58,7 +61,7 @@ class ExplorationConfig:
 
 
 def refining(config: ExplorationConfig) -> ExplorationConfig:
-    """Return the config without candidates from another side of the object than the recorded pose."""
+    """Return the config of small changes: no random, turned or flipped poses, no winner on the record's far side."""
     reach = min(config.azimuth_reach, _SAME_SIDE)
     return replace(config, random_poses=0, turned_poses=0, flipped_poses=0, azimuth_reach=reach)
 
@@ -194,9 +197,10 @@ def explore(
     poses, shapes = candidates(model, estimate, record, config, rng)
     losses = score(model, extractor, photographs, estimate, poses, shapes, config.map_weights)
     far = ~within_reach(poses, record.pose, config.azimuth_reach)
-    lowest, winner = losses.masked_fill(far, math.inf).min(dim=0)
+    ranked = losses + _BEYOND_REACH * far
+    lowest, winner = ranked.min(dim=0)
     photograph = torch.arange(len(winner), device=winner.device)
-    head = losses[FIRST_HEAD : FIRST_HEAD + estimate.heads.shape[1]].argmin(dim=0)
+    head = ranked[FIRST_HEAD : FIRST_HEAD + estimate.heads.shape[1]].argmin(dim=0)
     return Best(Record(poses[winner, photograph], shapes[winner, photograph]), lowest, head, winner)
 
 

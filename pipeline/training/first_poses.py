@@ -7,6 +7,7 @@ photographs that resemble them. Renderings that resemble every photograph say no
 taken off first. `azimuths` then joins the votes of all generators and makes them consistent.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -75,10 +76,8 @@ def first_poses(
     cuts = cut_to_box(photographs.float() / 255, model.poses, estimated, config.box_size)
     poses = _rendered_poses(model, config, rng)
     kernel = _kernel(poses, config.concentration)
-    votes = []
-    for generator in tqdm(scenes.generators, "votes", disable=silent()):
-        rendered = _cut_renderings(model, scenes, generator, poses, config, light, rng)
-        votes.append(count_votes(_distances(cuts, rendered, extractor), config.temperature))
+    rendered = [_cut_renderings(model, scenes, one, poses, config, light, rng) for one in scenes.generators]
+    votes = [count_votes(distances, config.temperature) for distances in _distances(cuts, rendered, extractor)]
     by_azimuth = join_votes(torch.stack([((vote @ kernel) / kernel.sum(dim=0)).log() for vote in votes]))
     winner = agree_on_azimuths(by_azimuth, cuts, extractor, config.consensus, rng).argmax(dim=1)
     near = votes[0] * kernel.T[winner]
@@ -115,12 +114,12 @@ def learn_poses(
 
 
 @torch.no_grad()
-def read_poses(model: FullModel, photographs: Images) -> Float[Tensor, "N 7"]:
-    """Return the student's pose coordinates, averaged with what it says of the mirror image."""
+def read_poses(model: FullModel, photographs: Images, first: int = 0) -> Float[Tensor, "_ 7"]:
+    """Return the student's pose coordinates, averaged with what it says of mirror images, from some photograph on."""
     estimates = []
-    for images in photographs.split(_CHUNK):
-        batch = images.float() / 255
-        here, there = model.pose_decoder(model.pose_encoder(torch.cat([batch, batch.flip(-1)]))).chunk(2)
+    for start in range(first, len(photographs), _CHUNK):
+        images = photographs[start : start + _CHUNK].float() / 255
+        here, there = model.pose_decoder(model.pose_encoder(torch.cat([images, images.flip(-1)]))).chunk(2)
         estimates.append((here + model.poses.mirror(there)) / 2)
     return model.poses.clamp(torch.cat(estimates))
 
@@ -175,15 +174,17 @@ def _cut_renderings(
 
 
 def _distances(
-    photographs: Float[Tensor, "N 3 H W"], rendered: Float[Tensor, "K 3 H W"], extractor: FeatureExtractor
-) -> Float[Tensor, "N K"]:
-    """Compare photographs with renderings, and their mirror images, by directions of the deeper features."""
-    total = torch.zeros(len(photographs), len(rendered), device=photographs.device)
+    photographs: Float[Tensor, "N 3 H W"], rendered: Sequence[Float[Tensor, "K 3 H W"]], extractor: FeatureExtractor
+) -> Float[Tensor, "G N K"]:
+    """Compare photographs with each generator's renderings, and their mirror images, by directions of deep features."""
+    total = torch.zeros(len(rendered), len(photographs), len(rendered[0]), device=photographs.device)
     for flip in ([], [-1]):
-        ours, theirs = (_directions(images.flip(flip), extractor) for images in (photographs, rendered))
-        for start in range(0, len(photographs), _CHUNK):
-            rows = slice(start, start + _CHUNK)
-            total[rows] += pairwise_feature_distance([layer[rows] for layer in ours], theirs)
+        ours = _directions(photographs.flip(flip), extractor)
+        for of_generator, images in zip(total, tqdm(rendered, "votes", disable=silent()), strict=True):
+            theirs = _directions(images.flip(flip), extractor)
+            for start in range(0, len(photographs), _CHUNK):
+                rows = slice(start, start + _CHUNK)
+                of_generator[rows] += pairwise_feature_distance([layer[rows] for layer in ours], theirs)
     return total
 
 

@@ -65,8 +65,8 @@ class FullTrainingConfig:
     first_poses: FirstPosesConfig | None
     """None leaves records at the paper's random poses."""
     settle: int
-    """Iterations in which first poses are refined but keep the end of the object they show: textures that mean nothing
-    yet would choose blindly (docs/decisions.md)."""
+    """Iterations in which poses are refined, but not turned to the object's far side at once: textures that mean
+    nothing yet would choose between its ends blindly (docs/decisions.md)."""
     exploration: ExplorationConfig
     loss: LossConfig
     discriminator_width: int
@@ -146,7 +146,7 @@ class FullTrainer:
         agree([poses])
         learn_poses(self.model, images, poses, first, config.warm_up, self.rng)
         if len(poses) < len(photographs):
-            poses = torch.cat([poses, read_poses(self.model, photographs)[len(poses) :]])
+            poses = torch.cat([poses, read_poses(self.model, photographs, len(poses))])
             agree([poses])
         self.record = Record(poses, self.record.shape)
 

@@ -151,7 +151,11 @@ def test_a_refined_record_keeps_its_side_even_where_the_other_one_fits() -> None
     kept = explore(model, extractor, features, estimate, record, refining(CONFIG), generator(1))
     assert within_reach(kept.record.pose[None], opposite, 90).all()
     assert (kept.losses > free.losses).all()
-    assert kept.head.tolist() == [0, 0, 0]  # heads are compared wherever they are: they stand for both answers
+    assert free.head.tolist() == [0, 0, 0]
+    assert kept.head.tolist() == [1, 1, 1]
+    far = estimate._replace(heads=torch.stack([estimate.heads[:, 0]] * 2, dim=1))
+    both_far = explore(model, extractor, features, far, record, refining(CONFIG), generator(1))
+    assert within_reach(both_far.record.pose[None], opposite, 90).all()
 
 
 def test_reach_is_an_angle_between_azimuths() -> None:
