@@ -153,9 +153,11 @@ def test_a_refined_record_keeps_its_side_even_where_the_other_one_fits() -> None
     assert (kept.losses > free.losses).all()
     assert free.head.tolist() == [0, 0, 0]
     assert kept.head.tolist() == [1, 1, 1]
-    far = estimate._replace(heads=torch.stack([estimate.heads[:, 0]] * 2, dim=1))
+    elsewhere = torch.cat([truth.pose[:, :6], -truth.pose[:, 6:].sign()], 1)
+    far = estimate._replace(heads=torch.stack([elsewhere, truth.pose], dim=1))
     both_far = explore(model, extractor, features, far, record, refining(CONFIG), generator(1))
     assert within_reach(both_far.record.pose[None], opposite, 90).all()
+    assert both_far.head.tolist() == [1, 1, 1]
 
 
 def test_reach_is_an_angle_between_azimuths() -> None:
