@@ -33,17 +33,29 @@ def share_work(processes: object, device: torch.device, function: Callable[..., 
     Under torchrun this process is one of the group already, on any number of hosts, and `processes` is not used.
 
     When any process ends before its work is done, all do. Raises the UserError or FileNotFoundError of the first one
-    that had one, ProcessKilled where one was killed, and ConfigError unless `processes` is a number from 1.
+    that had one, ProcessKilled where one was killed, and ConfigError as `resolve_processes` does.
     """
-    if type(processes) is not int or processes < 1:
-        raise ConfigError(f"processes is {processes!r}; expected a whole number from 1")
+    number = resolve_processes(processes, device)
     if dist.is_torchelastic_launched():
         _work(int(os.environ["LOCAL_RANK"]), device, {}, function, arguments)
-    elif processes == 1:
+    elif number == 1:
         function(*arguments)
     else:
-        with TemporaryDirectory() as folder, _divided_threads(processes):
-            _start(processes, device, f"file://{Path(folder) / 'meeting'}", function, arguments)
+        with TemporaryDirectory() as folder, _divided_threads(number):
+            _start(number, device, f"file://{Path(folder) / 'meeting'}", function, arguments)
+
+
+def resolve_processes(processes: object, device: torch.device) -> int:
+    """Turn a number or `auto` into the number of processes that share a stage's work.
+
+    `auto` is one for each GPU. On a CPU it is two, which are faster than one with the threads of both
+    (docs/decisions.md), or one where there is a single thread. Raises ConfigError for anything else.
+    """
+    if processes == "auto":
+        return torch.cuda.device_count() if device.type == "cuda" else min(2, torch.get_num_threads())
+    if type(processes) is not int or processes < 1:
+        raise ConfigError(f"processes is {processes!r}; expected auto or a whole number from 1")
+    return processes
 
 
 def _start(

@@ -14,7 +14,7 @@ from pipeline.networks.scene_generator import scene_tensors
 from pipeline.training.base_shape import SeedTrainer, build_sphere, learn_base_shape
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.features import FeatureTrainer
-from pipeline.training.first_poses import learn_poses
+from pipeline.training.first_poses import first_poses, learn_poses
 from pipeline.training.full import FullTrainer, train_full
 from pipeline.training.photographs import Photographs
 from pipeline.training.warm_up import warm_up
@@ -82,10 +82,12 @@ def _warm_up() -> dict[str, Tensor]:
     trainer, (images, poses) = _full_trainer(), photographs(8)
     warm_up(trainer.model, tiny_scenes().generators[0], TRAINING.warm_up, trainer.rng)
     warmed_up = _weights("warm-up", trainer.model)
-    trainer = _full_trainer()
-    assert TRAINING.first_poses is not None
-    learn_poses(trainer.model, images, poses, TRAINING.first_poses, TRAINING.warm_up, trainer.rng)
-    return {**warmed_up, **_weights("lessons", trainer.model)}
+    trainer, config = _full_trainer(), TRAINING.first_poses
+    assert config is not None
+    learn_poses(trainer.model, images, poses, config, TRAINING.warm_up, trainer.rng)
+    lessons, light = _weights("lessons", trainer.model), TRAINING.warm_up.light
+    found = first_poses(trainer.model, tiny_scenes(), tiny_extractor(), images, config, light, trainer.rng)
+    return {**warmed_up, **lessons, "first poses": found}
 
 
 def _full() -> dict[str, Tensor]:

@@ -7,7 +7,6 @@ photographs that resemble them. Renderings that resemble every photograph say no
 taken off first. `azimuths` then joins the votes of all generators and makes them consistent.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -17,7 +16,7 @@ from torch.nn import functional
 from tqdm import tqdm
 
 from pipeline.datasets.images import Images
-from pipeline.distributed import average_gradients, share, silent
+from pipeline.distributed import average_gradients, divide, share, silent
 from pipeline.losses.image_distance import pairwise_feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel
@@ -77,7 +76,11 @@ def first_poses(
     poses = _rendered_poses(model, config, rng)
     kernel = _kernel(poses, config.concentration)
     rendered = [_cut_renderings(model, scenes, one, poses, config, light, rng) for one in scenes.generators]
-    votes = [count_votes(distances, config.temperature) for distances in _distances(cuts, rendered, extractor)]
+
+    def votes_of(index: int) -> Float[Tensor, "N K"]:
+        return count_votes(_distances(cuts, rendered[index], extractor), config.temperature).cpu()
+
+    votes = [vote.to(cuts.device) for vote in divide(votes_of, len(rendered))]
     by_azimuth = join_votes(torch.stack([((vote @ kernel) / kernel.sum(dim=0)).log() for vote in votes]))
     winner = agree_on_azimuths(by_azimuth, cuts, extractor, config.consensus, rng).argmax(dim=1)
     near = votes[0] * kernel.T[winner]
@@ -174,17 +177,15 @@ def _cut_renderings(
 
 
 def _distances(
-    photographs: Float[Tensor, "N 3 H W"], rendered: Sequence[Float[Tensor, "K 3 H W"]], extractor: FeatureExtractor
-) -> Float[Tensor, "G N K"]:
-    """Compare photographs with each generator's renderings, and their mirror images, by directions of deep features."""
-    total = torch.zeros(len(rendered), len(photographs), len(rendered[0]), device=photographs.device)
-    for flip in ([], [-1]):
-        ours = _directions(photographs.flip(flip), extractor)
-        for of_generator, images in zip(total, tqdm(rendered, "votes", disable=silent()), strict=True):
-            theirs = _directions(images.flip(flip), extractor)
-            for start in range(0, len(photographs), _CHUNK):
-                rows = slice(start, start + _CHUNK)
-                of_generator[rows] += pairwise_feature_distance([layer[rows] for layer in ours], theirs)
+    photographs: Float[Tensor, "N 3 H W"], rendered: Float[Tensor, "K 3 H W"], extractor: FeatureExtractor
+) -> Float[Tensor, "N K"]:
+    """Compare photographs with renderings, and their mirror images, by directions of deep features."""
+    total = torch.zeros(len(photographs), len(rendered), device=photographs.device)
+    for flip in tqdm(([], [-1]), "votes", disable=silent()):
+        ours, theirs = (_directions(images.flip(flip), extractor) for images in (photographs, rendered))
+        for start in range(0, len(photographs), _CHUNK):
+            rows = slice(start, start + _CHUNK)
+            total[rows] += pairwise_feature_distance([layer[rows] for layer in ours], theirs)
     return total
 
 

@@ -8,7 +8,7 @@ import torch
 
 from pipeline.errors import ConfigError, ProcessKilled
 from pipeline.files import load_tensors
-from pipeline.launch import share_work
+from pipeline.launch import resolve_processes, share_work
 from tests.shared_trainings import take_steps, train
 from tests.tiny_full_model import TRAINING
 
@@ -70,5 +70,18 @@ def test_a_killed_process_ends_the_training_which_resumes_to_the_same_bytes(two:
 
 @pytest.mark.parametrize("processes", [0, True, "2"])
 def test_the_number_of_processes_is_checked(processes: object) -> None:
-    with pytest.raises(ConfigError, match="expected a whole number from 1"):
+    with pytest.raises(ConfigError, match="expected auto or a whole number from 1"):
         share_work(processes, CPU, print)
+
+
+@pytest.mark.parametrize(("threads", "processes"), [(1, 1), (2, 2), (16, 2)])
+def test_auto_is_two_processes_on_a_cpu_that_has_threads_for_them(
+    threads: int, processes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
+    assert resolve_processes("auto", CPU) == processes
+
+
+def test_auto_is_a_process_for_each_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 4)
+    assert resolve_processes("auto", torch.device("cuda")) == 4
