@@ -14,8 +14,9 @@ from pipeline.networks.scene_generator import scene_tensors
 from pipeline.training.base_shape import SeedTrainer, build_sphere, learn_base_shape
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.features import FeatureTrainer
-from pipeline.training.first_poses import first_poses, learn_poses
+from pipeline.training.first_poses import first_poses
 from pipeline.training.full import FullTrainer, train_full
+from pipeline.training.lessons import learn_poses
 from pipeline.training.photographs import Photographs
 from pipeline.training.warm_up import warm_up
 from tests.learning import test_base_shape, test_train_features
@@ -84,7 +85,7 @@ def _warm_up() -> dict[str, Tensor]:
     warmed_up = _weights("warm-up", trainer.model)
     trainer, config = _full_trainer(), TRAINING.first_poses
     assert config is not None
-    learn_poses(trainer.model, images, poses, config, TRAINING.warm_up, trainer.rng)
+    learn_poses(trainer.model, images, torch.arange(len(poses)), poses, TRAINING.lessons, trainer.rng)
     lessons, light = _weights("lessons", trainer.model), TRAINING.warm_up.light
     found = first_poses(trainer.model, tiny_scenes(), tiny_extractor(), images, config, light, trainer.rng)
     return {**warmed_up, **lessons, "first poses": found}

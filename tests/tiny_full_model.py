@@ -15,6 +15,7 @@ from pipeline.networks.encoders import EncoderConfig
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, FullModelConfig, Reconstruction, ShapeConfig
 from pipeline.networks.pose_coordinates import PoseRange
+from pipeline.networks.pose_decoder import PoseRegression
 from pipeline.networks.scene_generator import (
     ConstraintConfig,
     GeneratorConfig,
@@ -30,6 +31,7 @@ from pipeline.training.exploration import ExplorationConfig
 from pipeline.training.first_poses import FirstPosesConfig
 from pipeline.training.full import EllipsoidConfig, FullTrainingConfig
 from pipeline.training.full_losses import LossConfig
+from pipeline.training.lessons import LessonsConfig
 from pipeline.training.viewpoints import LightConfig
 from pipeline.training.warm_up import WarmUpConfig
 
@@ -54,11 +56,13 @@ TRAINING = FullTrainingConfig(
     batch_size=4,
     learning_rate=1e-3,
     betas=(0.5, 0.99),
+    cool_down=0,
     photographs_per_iteration=2.0,
     model=MODEL,
     ellipsoid=EllipsoidConfig((0.5, 0.5, 1.0), 2),
     warm_up=WarmUpConfig(2, 4, 1e-3, (0.9, 0.99), LightConfig(0.5, 0.5), 0.3, 0.1),
-    first_poses=FirstPosesConfig(8, 0.5, 0.1, 0.85, 1.0, 20.0, ConsensusConfig(1, 0.4, 4, 0.3, 0.3, 2, 3.0), 100, 2),
+    first_poses=FirstPosesConfig(8, 0.5, 0.1, 0.85, 1.0, 20.0, ConsensusConfig(1, 0.4, 4, 0.3, 0.3, 2, 3.0), 100),
+    lessons=LessonsConfig(2, 4, 1e-3, (0.9, 0.99)),
     settle=2,
     exploration=ExplorationConfig((0.1, 1.0, 2.0), 1, 2, 3, 2, 1, 1, (0.02, 0.2), (0.02, 0.2), 0.5, 180.0),
     loss=LossConfig(0.1, 1.0, 1.0, 1.0, 1.0, 0.1, 0.1, SmoothnessConfig(1.0, 0.0, 0.0, 0.01, 0.0, 0.0)),
@@ -125,3 +129,9 @@ def tiny_scenes() -> LearnedScenes:
         with initialised(seed):
             generators.append(SceneGenerator(config, base.vertices[0], mirror_index(base.directions)).eval())
     return LearnedScenes(generators, base.faces, base.directions)
+
+
+def exact_regression(coordinates: Tensor) -> PoseRegression:
+    """Return what a head says that knows the poses."""
+    twice = 2 * torch.atan2(coordinates[..., 1], coordinates[..., 0])
+    return PoseRegression(coordinates[..., :2], torch.stack([twice.cos(), twice.sin()], -1), coordinates[..., 2:])

@@ -105,7 +105,7 @@ def multiview_figures(
 @torch.no_grad()
 def student_figures(views: Float[Tensor, "B K 3 H W"], model: FullModel, config: MultiviewConfig) -> Figures:
     """Measure the azimuths that a run's own pose network reads off views, up to one angle that suits them best."""
-    coordinates = torch.stack([model.pose_decoder(model.pose_encoder(images)) for images in views.unbind(1)], dim=1)
+    coordinates = torch.stack([model.read_poses(images) for images in views.unbind(1)], dim=1)
     read = torch.atan2(coordinates[..., 1], coordinates[..., 0])
     azimuths = config.azimuths().expand(views.shape[:2])
     offset = fit_alignment(_level(azimuths), _level(read))

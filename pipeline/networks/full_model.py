@@ -16,7 +16,7 @@ from pipeline.networks.decoders import FreeFormShapes, OffsetShapes, ShapeDecode
 from pipeline.networks.encoders import Encoder, EncoderConfig
 from pipeline.networks.generators import ImageBackgroundGenerator, StripesGenerator, TextureGenerator
 from pipeline.networks.pose_coordinates import Framing, PoseCoordinates, PoseRange
-from pipeline.networks.pose_decoder import PoseDecoder
+from pipeline.networks.pose_decoder import PoseDecoder, PoseRegression
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
 
@@ -116,12 +116,24 @@ class FullModel(nn.Module):
 
     @torch.no_grad()
     def infer(self, images: Float[Tensor, "B 3 H W"]) -> Reconstruction:
-        """Reconstruct photographs in [0, 1]; the pose is the student's. Put the model into evaluation mode first."""
+        """Reconstruct photographs in [0, 1] in the poses it reads off them. Put the model into evaluation mode."""
         vertices = self.shapes(self.shape_decoder(self.shape_encoder(images)))
-        pose = self.poses(self.pose_decoder(self.pose_encoder(images)), vertices)
+        pose = self.poses(self.read_poses(images), vertices)
         texture_maps = self.texture_decoder(self.texture_encoder(images))
         backgrounds = self.background_decoder(self.background_encoder(images))
         return Reconstruction(vertices, texture_maps, pose, backgrounds)
+
+    @torch.no_grad()
+    def read_poses(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 7"]:
+        """Return the student's pose coordinates; of mirror-symmetric shapes the mean of both pictures' readings.
+
+        The other picture is the photograph's mirror image, in which such an object's pose is known.
+        """
+        said = self.pose_decoder(self.pose_encoder(images))
+        if self.config.shape.mirror:
+            mirrored = self.pose_decoder(self.pose_encoder(images.flip(-1))).mirror(self.poses)
+            said = PoseRegression(*((one + other) / 2 for one, other in zip(said, mirrored, strict=True)))
+        return said.coordinates
 
     def render(self, reconstruction: Reconstruction) -> Float[Tensor, "B 3 H W"]:
         """Render reconstructions without directional light, because textures hold the shading (paper section 3.2)."""

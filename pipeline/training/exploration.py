@@ -19,6 +19,7 @@ from pipeline.errors import ConfigError
 from pipeline.losses.image_distance import Features, feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, Reconstruction
+from pipeline.networks.pose_decoder import PoseRegression
 
 _SAME_SIDE = 90.0
 """Degrees of azimuth, either way, beyond which a pose shows the object from the far side."""
@@ -82,9 +83,10 @@ class Record(NamedTuple):
 class Estimate(NamedTuple):
     """What the networks predict for a batch of photographs."""
 
-    student: Float[Tensor, "B 7"]
-    heads: Float[Tensor, "B heads 7"]
-    mirrored: Float[Tensor, "B 7"]
+    student: PoseRegression
+    heads: PoseRegression
+    """In rows of `B heads`."""
+    mirrored: PoseRegression
     """The student's prediction for the photographs' mirror images."""
     shape: Float[Tensor, "B K"]
     texture_maps: Float[Tensor, "B 3 T T"]
@@ -116,8 +118,8 @@ def candidates(
     poses = torch.cat(
         [
             record.pose[None],
-            estimate.student[None],
-            estimate.heads.transpose(0, 1),
+            estimate.student.coordinates[None],
+            estimate.heads.coordinates.transpose(0, 1),
             _near(record.pose, config.perturbed_poses, config.pose_step, rng),
             _turned(record.pose, config.turned_poses, rng),
             flipped(record.pose, config.flipped_poses),
@@ -200,7 +202,7 @@ def explore(
     ranked = losses + _BEYOND_REACH * far
     lowest, winner = ranked.min(dim=0)
     photograph = torch.arange(len(winner), device=winner.device)
-    head = ranked[FIRST_HEAD : FIRST_HEAD + estimate.heads.shape[1]].argmin(dim=0)
+    head = ranked[FIRST_HEAD : FIRST_HEAD + estimate.heads.end.shape[1]].argmin(dim=0)
     return Best(Record(poses[winner, photograph], shapes[winner, photograph]), lowest, head, winner)
 
 

@@ -51,11 +51,10 @@ class Outputs:
     def __init__(self, model: FullModel, images: Float[Tensor, "B 3 H W"]) -> None:
         self.model = model
         with torch.no_grad():
-            pose_code = model.pose_encoder(images)
-            self.heads = model.pose_decoder.ensemble(pose_code)
+            self.heads = model.pose_decoder.ensemble(model.pose_encoder(images)).coordinates
             self.values = {
                 "background": model.background_encoder(images),
-                "pose": model.pose_decoder(pose_code),
+                "pose": model.read_poses(images),
                 "shape": model.shape_decoder(model.shape_encoder(images)),
             }
             self.texture_maps = model.texture_decoder(model.texture_encoder(images))

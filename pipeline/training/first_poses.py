@@ -16,7 +16,7 @@ from torch.nn import functional
 from tqdm import tqdm
 
 from pipeline.datasets.images import Images
-from pipeline.distributed import average_gradients, divide, share, silent
+from pipeline.distributed import divide, silent
 from pipeline.losses.image_distance import pairwise_feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel
@@ -25,7 +25,6 @@ from pipeline.networks.scene_generator import LearnedScenes, SceneGenerator
 from pipeline.rendering.renderer import Mesh, render
 from pipeline.training.azimuths import ConsensusConfig, agree_on_azimuths, bins, join_votes
 from pipeline.training.viewpoints import LightConfig, sample_lights
-from pipeline.training.warm_up import WarmUpConfig
 
 _CHUNK = 250
 
@@ -42,7 +41,6 @@ class FirstPosesConfig:
         temperature: of the vote, in standard deviations of a photograph's distances; small ones let the nearest decide.
         concentration: of the votes' kernel over azimuths (von Mises); 20 is about 13 degrees wide.
         photographs: how many get first poses, from the first on: each is compared with every rendering at once.
-        lessons: iterations in which the pose networks learn to read the first poses off the photographs.
     """
 
     renderings: int
@@ -53,7 +51,6 @@ class FirstPosesConfig:
     concentration: float
     consensus: ConsensusConfig
     photographs: int
-    lessons: int
 
 
 @torch.no_grad()
@@ -89,42 +86,10 @@ def first_poses(
     return torch.cat([azimuth.cos(), azimuth.sin(), elevation_and_roll, estimated[:, 4:]], 1)
 
 
-def learn_poses(
-    model: FullModel,
-    photographs: UInt8[Tensor, "N 3 H W"],
-    poses: Float[Tensor, "N 7"],
-    config: FirstPosesConfig,
-    warm_up: WarmUpConfig,
-    rng: torch.Generator,
-) -> None:
-    """Train the pose networks, with the warm-up's optimiser and batches, to read poses off photographs.
-
-    Half of each batch are mirror images. What a few thousand photographs agree on outweighs single wrong poses.
-    """
-    parameters = [*model.pose_encoder.parameters(), *model.pose_decoder.parameters()]
-    optimizer = torch.optim.Adam(parameters, lr=warm_up.learning_rate, betas=warm_up.betas)
-    for _ in tqdm(range(config.lessons), "first poses", disable=silent()):
-        index = share(torch.randint(len(photographs), (warm_up.batch_size,), generator=rng, device=rng.device))
-        images, wanted = photographs[index].float() / 255, poses[index]
-        code = model.pose_encoder(torch.cat([images, images.flip(-1)]))
-        wanted = torch.cat([wanted, model.poses.mirror(wanted)])
-        heads = (model.pose_decoder.ensemble(code) - wanted[:, None]).abs().mean()
-        loss = heads + (model.pose_decoder(code) - wanted).abs().mean()
-        optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        average_gradients(optimizer)
-        optimizer.step()
-
-
-@torch.no_grad()
 def read_poses(model: FullModel, photographs: Images, first: int = 0) -> Float[Tensor, "_ 7"]:
-    """Return the student's pose coordinates, averaged with what it says of mirror images, from some photograph on."""
-    estimates = []
-    for start in range(first, len(photographs), _CHUNK):
-        images = photographs[start : start + _CHUNK].float() / 255
-        here, there = model.pose_decoder(model.pose_encoder(torch.cat([images, images.flip(-1)]))).chunk(2)
-        estimates.append((here + model.poses.mirror(there)) / 2)
-    return model.poses.clamp(torch.cat(estimates))
+    """Return what the model reads off photographs from some one on, as pose coordinates."""
+    starts = range(first, len(photographs), _CHUNK)
+    return torch.cat([model.read_poses(photographs[start : start + _CHUNK].float() / 255) for start in starts])
 
 
 def cut_to_box(

@@ -32,8 +32,9 @@ from pipeline.training.exploration import (
     refining,
     require_maps,
 )
-from pipeline.training.first_poses import FirstPosesConfig, first_poses, learn_poses, read_poses
+from pipeline.training.first_poses import FirstPosesConfig, first_poses, read_poses
 from pipeline.training.full_losses import FullLoss, LossConfig
+from pipeline.training.lessons import LessonsConfig, learn_poses
 from pipeline.training.photographs import Photographs
 from pipeline.training.warm_up import WarmUpConfig, warm_up
 
@@ -56,6 +57,8 @@ class FullTrainingConfig:
     batch_size: int
     learning_rate: float
     betas: tuple[float, float]
+    cool_down: int
+    """The last iterations, over which the learning rate falls to zero; the paper has none."""
     photographs_per_iteration: float
     """Iteration i draws from the first i times this many photographs; the paper's curriculum has 1."""
     model: FullModelConfig
@@ -64,6 +67,8 @@ class FullTrainingConfig:
     """Of two-stage training alone, like `first_poses`: there is nothing to render without a base shape."""
     first_poses: FirstPosesConfig | None
     """None leaves records at the paper's random poses."""
+    lessons: LessonsConfig
+    """From the first poses, and after training from the recorded ones."""
     settle: int
     """Iterations in which poses are refined, but not turned to the object's far side at once: textures that mean
     nothing yet would choose between its ends blindly (docs/decisions.md)."""
@@ -125,6 +130,8 @@ class FullTrainer:
         self.record.pose[index], self.record.shape[index] = gather(best.record.pose), gather(best.record.shape)
         self.visits[index] += 1
         losses = self.loss.terms(features, estimate, best, self.rng)
+        for group in self.optimizer.param_groups:
+            group["lr"] = learning_rate(self.config, iteration)
         self.optimizer.zero_grad(set_to_none=True)
         losses["loss"].backward()
         average_gradients(self.optimizer)
@@ -144,11 +151,18 @@ class FullTrainer:
         images = photographs[: first.photographs]
         poses = first_poses(self.model, scenes, self.extractor, images, first, config.warm_up.light, self.rng)
         agree([poses])
-        learn_poses(self.model, images, poses, first, config.warm_up, self.rng)
+        index = torch.arange(len(poses), device=poses.device)
+        learn_poses(self.model, photographs, index, poses, config.lessons, self.rng)
         if len(poses) < len(photographs):
             poses = torch.cat([poses, read_poses(self.model, photographs, len(poses))])
             agree([poses])
         self.record = Record(poses, self.record.shape)
+
+    def review(self) -> None:
+        """Let the pose networks learn the recorded poses of all photographs that were visited."""
+        index, config = self.visits.nonzero().flatten(), self.config.lessons
+        if len(index):
+            learn_poses(self.model, self.photographs.images, index, self.record.pose[index], config, self.rng)
 
     def estimate(self, images: Float[Tensor, "B 3 H W"]) -> Estimate:
         """Run all encoders and decoders on a batch of photographs."""
@@ -179,6 +193,11 @@ class FullTrainer:
             "shape": self.record.shape,
             "visits": self.visits,
         }
+
+
+def learning_rate(config: FullTrainingConfig, iteration: int) -> float:
+    """Return the learning rate of an iteration, counted from 0."""
+    return config.learning_rate * min(1.0, (config.iterations - iteration) / max(1, config.cool_down))
 
 
 def load_base(config: FullTrainingConfig, path: Path, device: torch.device) -> Mesh:
@@ -231,6 +250,7 @@ def train_full(
             values = {"iteration": iteration + 1, "rows": curve.rows, "recent": recent}
             checkpoint.save(pack(**trainer.parts()), values)
     read_losses(unread, config.iterations - 1)
+    trainer.review()
     return trainer, curve
 
 

@@ -16,6 +16,7 @@ from pipeline.losses.view_prior import reverse_gradient, view_prior_loss
 from pipeline.networks.discriminator import ViewDiscriminator
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, Reconstruction
+from pipeline.networks.pose_decoder import PoseRegression, regression_error
 from pipeline.training.exploration import Best, Estimate
 
 
@@ -83,8 +84,8 @@ class FullLoss:
         return terms
 
     def mirrored_regression(self, estimate: Estimate, best: Best) -> Float[Tensor, ""]:
-        """Return the student's mean absolute error on the photographs' mirror images."""
-        return (estimate.mirrored - self.model.poses.mirror(best.record.pose.detach())).abs().mean()
+        """Return the student's error on the photographs' mirror images."""
+        return regression_error(estimate.mirrored, self.model.poses.mirror(best.record.pose.detach()))
 
     def other_views(
         self,
@@ -111,19 +112,20 @@ class FullLoss:
         student = model.pose_decoder(model.pose_encoder(others.detach()))
         return {
             "view_prior": view_prior_loss(estimated, random),
-            "rendered_regression": (student - turned).abs().mean(),
+            "rendered_regression": regression_error(student, turned),
         }
 
 
 def pose_regression(estimate: Estimate, best: Best) -> Float[Tensor, ""]:
-    """Return the mean absolute error of the ensemble's best head and of the student to the recorded poses (term 2).
+    """Return the errors of the ensemble's best head and of the student against the recorded poses (term 2).
 
-    Errors are in pose coordinates. Only the head that reconstructs a photograph best learns from it (Insafutdinov &
+    Only the head that reconstructs a photograph best learns from it (Insafutdinov &
     Dosovitskiy 2018).
     """
     recorded = best.record.pose.detach()
-    winners = estimate.heads[torch.arange(len(best.head), device=best.head.device), best.head]
-    return (winners - recorded).abs().mean() + (estimate.student - recorded).abs().mean()
+    photograph = torch.arange(len(best.head), device=best.head.device)
+    winners = PoseRegression(*(part[photograph, best.head] for part in estimate.heads))
+    return regression_error(winners, recorded) + regression_error(estimate.student, recorded)
 
 
 def shape_regression(estimate: Estimate, best: Best) -> Float[Tensor, ""]:

@@ -15,6 +15,7 @@ from tqdm import tqdm
 
 from pipeline.distributed import average, average_gradients, share, silent
 from pipeline.networks.full_model import FullModel, Reconstruction
+from pipeline.networks.pose_decoder import regression_error
 from pipeline.networks.scene_generator import SceneGenerator
 from pipeline.rendering.lighting import Light
 from pipeline.rendering.renderer import Mesh, render
@@ -81,14 +82,14 @@ def draw_sample(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, 
 
 
 def warm_up_loss(model: FullModel, sample: Sample) -> Float[Tensor, ""]:
-    """Return the mean absolute errors of poses (student and every head), of shapes, and of the picture drawn again.
+    """Return the errors of poses (student and every head), of shapes, and of the picture drawn again.
 
     The picture is drawn with the true pose and shape: its error trains the texture and the background.
     """
     images, pose, shape = sample
     code = model.pose_encoder(images)
-    heads = (model.pose_decoder.ensemble(code) - pose[:, None]).abs().mean()
-    student = (model.pose_decoder(code) - pose).abs().mean()
+    heads = regression_error(model.pose_decoder.ensemble(code), pose[:, None])
+    student = regression_error(model.pose_decoder(code), pose)
     shapes = (model.shape_decoder(model.shape_encoder(images)) - shape).abs().mean()
     vertices = model.shapes(shape)
     drawn = model.render(

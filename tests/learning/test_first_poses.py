@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pipeline.seeding import generator
 from pipeline.training.azimuths import ConsensusConfig
-from pipeline.training.first_poses import FirstPosesConfig, count_votes, cut_to_box, first_poses, learn_poses
+from pipeline.training.first_poses import FirstPosesConfig, count_votes, cut_to_box, first_poses
 from pipeline.training.warm_up import warm_up
 from tests.tiny_full_model import TRAINING, photographs, photographs_of, tiny_extractor, tiny_model, tiny_scenes
 
@@ -22,7 +22,6 @@ CONFIG = FirstPosesConfig(
     concentration=20.0,
     consensus=ConsensusConfig(3, 0.4, 64, 0.3, 0.3, 5, 3.0),
     photographs=300,
-    lessons=60,
 )
 
 
@@ -68,22 +67,3 @@ def test_votes_find_the_axis_and_their_consensus_the_front() -> None:
     assert (consensus.abs() > within_30_degrees).float().mean() > 0.75  # chance: 1/3
     assert (consensus > within_30_degrees).float().mean() > 0.45  # chance: 1/6
     assert (consensus > within_30_degrees).float().mean() > (votes > within_30_degrees).float().mean()
-
-
-def test_the_student_learns_to_read_poses_off_photographs_and_their_mirror_images() -> None:
-    model = tiny_model()
-    images, coordinates = photographs(40)
-    pictures = images.float() / 255
-
-    def errors() -> Tensor:
-        with torch.no_grad():
-            here = model.pose_decoder(model.pose_encoder(pictures)) - coordinates
-            there = model.pose_decoder(model.pose_encoder(pictures.flip(-1))) - model.poses.mirror(coordinates)
-        return torch.stack([here.abs().mean(), there.abs().mean()])
-
-    before = errors()
-    others = [parameter.clone() for parameter in model.texture_encoder.parameters()]
-    warm_up_config = replace(TRAINING.warm_up, batch_size=16, learning_rate=3e-3)
-    learn_poses(model, images, coordinates, CONFIG, warm_up_config, generator(0))
-    assert (errors() < 0.7 * before).all()
-    assert all(map(torch.equal, others, model.texture_encoder.parameters()))

@@ -18,7 +18,7 @@ from pipeline.training.curves import Curve
 from pipeline.training.exploration import score
 from pipeline.training.fine_tune import FineTuneConfig, PhaseConfig, fine_tune
 from pipeline.training.first_poses import read_poses
-from pipeline.training.full import FullTrainer, FullTrainingConfig, train_full
+from pipeline.training.full import FullTrainer, FullTrainingConfig, learning_rate, train_full
 from pipeline.training.photographs import Photographs
 from tests.tiny_full_model import MODEL, TRAINING, base_mesh, photographs, tiny_extractor, tiny_model, tiny_scenes
 
@@ -173,3 +173,10 @@ def test_fine_tuning_moves_only_background_pose_and_shape(tmp_path: Path) -> Non
     assert torch.equal(results["backgrounds_predicted"], results["backgrounds_tuned"])
     assert not torch.equal(results["pose_predicted"], results["pose_tuned"])
     torch.testing.assert_close(results["textures"], model.infer(images.float() / 255).texture_maps)
+
+
+def test_the_learning_rate_falls_to_zero_over_the_cool_down() -> None:
+    config = replace(TRAINING, iterations=10, learning_rate=0.4, cool_down=4)
+    rates = [learning_rate(config, iteration) for iteration in range(10)]
+    assert rates == pytest.approx([0.4] * 7 + [0.3, 0.2, 0.1])
+    assert {learning_rate(replace(config, cool_down=0), iteration) for iteration in range(10)} == {0.4}

@@ -17,7 +17,8 @@ def test_warm_up_teaches_where_objects_are_in_unseen_renderings() -> None:
 
     def error_of_box() -> float:
         with torch.no_grad():
-            return (model.pose_decoder(model.pose_encoder(images)) - pose)[:, 4:].abs().mean().item()
+            said = model.pose_decoder(model.pose_encoder(images)).coordinates
+            return (said - pose)[:, 4:].abs().mean().item()
 
     before = error_of_box()
     warm_up(model, scenes, CONFIG, generator(0))

@@ -20,7 +20,7 @@ from pipeline.training.exploration import (
     score,
     within_reach,
 )
-from tests.tiny_full_model import TRAINING, photographs, tiny_extractor, tiny_model
+from tests.tiny_full_model import TRAINING, exact_regression, photographs, tiny_extractor, tiny_model
 
 CONFIG = TRAINING.exploration
 
@@ -52,8 +52,8 @@ def test_each_kind_of_candidate_is_there_once_for_every_photograph() -> None:
     poses, shapes = candidates(model, estimate, record, CONFIG, generator(1))
     assert poses.shape == (1 + 1 + 2 + 2 + 2 + 3 + 1 + 3, 3, 7)
     torch.testing.assert_close(poses[0], record.pose)
-    torch.testing.assert_close(poses[1], estimate.student)
-    torch.testing.assert_close(poses[2:4], estimate.heads.transpose(0, 1))
+    torch.testing.assert_close(poses[1], estimate.student.coordinates)
+    torch.testing.assert_close(poses[2:4], estimate.heads.coordinates.transpose(0, 1))
     assert torch.equal(shapes[:12], record.shape.expand(12, -1, -1))
     assert torch.equal(poses[12:], record.pose.expand(3, -1, -1))
     assert torch.equal(shapes[12], estimate.shape)
@@ -119,7 +119,7 @@ def test_exploring_never_ends_above_the_record_and_finds_the_best_head() -> None
         extractor,
         features,
         estimate,
-        estimate.heads.transpose(0, 1),
+        estimate.heads.coordinates.transpose(0, 1),
         zeros.expand(2, -1, -1),
         CONFIG.map_weights,
     )
@@ -132,7 +132,9 @@ def test_gradients_reach_the_head_whose_pose_won() -> None:
     features = extractor(pictures_of(model, estimate, truth))
     heads = torch.stack([-truth.pose, truth.pose], dim=1).requires_grad_()
     record = truth._replace(pose=-truth.pose)
-    best = explore(model, extractor, features, estimate._replace(heads=heads), record, CONFIG, generator(1))
+    best = explore(
+        model, extractor, features, estimate._replace(heads=exact_regression(heads)), record, CONFIG, generator(1)
+    )
     assert best.winner.item() == 3
     best.record.pose.sum().backward()
     assert heads.grad is not None
@@ -144,7 +146,9 @@ def test_a_refined_record_keeps_its_side_even_where_the_other_one_fits() -> None
     estimate, truth = estimate_of(model, 3), first_record(model, 3, generator(0))
     features = extractor(pictures_of(model, estimate, truth))
     opposite = torch.cat([-truth.pose[:, :2], truth.pose[:, 2:]], 1)
-    estimate = estimate._replace(student=truth.pose, heads=torch.stack([truth.pose, opposite], dim=1))
+    estimate = estimate._replace(
+        student=exact_regression(truth.pose), heads=exact_regression(torch.stack([truth.pose, opposite], dim=1))
+    )
     record = truth._replace(pose=opposite)
     free = explore(model, extractor, features, estimate, record, CONFIG, generator(1))
     assert free.winner.tolist() == [1, 1, 1]
@@ -154,7 +158,7 @@ def test_a_refined_record_keeps_its_side_even_where_the_other_one_fits() -> None
     assert free.head.tolist() == [0, 0, 0]
     assert kept.head.tolist() == [1, 1, 1]
     elsewhere = torch.cat([truth.pose[:, :6], -truth.pose[:, 6:].sign()], 1)
-    far = estimate._replace(heads=torch.stack([elsewhere, truth.pose], dim=1))
+    far = estimate._replace(heads=exact_regression(torch.stack([elsewhere, truth.pose], dim=1)))
     both_far = explore(model, extractor, features, far, record, refining(CONFIG), generator(1))
     assert within_reach(both_far.record.pose[None], opposite, 90).all()
     assert both_far.head.tolist() == [1, 1, 1]

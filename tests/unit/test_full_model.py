@@ -51,7 +51,7 @@ def test_gradients_of_a_rendering_reach_every_network() -> None:
     vertices = model.shapes(model.shape_decoder(model.shape_encoder(images)))
     reconstruction = model.infer(images)._replace(
         vertices=vertices,
-        pose=model.poses(model.pose_decoder(model.pose_encoder(images)), vertices),
+        pose=model.poses(model.pose_decoder(model.pose_encoder(images)).coordinates, vertices),
         texture_maps=model.texture_decoder(model.texture_encoder(images)),
         backgrounds=model.background_decoder(model.background_encoder(images)),
     )
@@ -101,3 +101,13 @@ def test_random_poses_differ() -> None:
 def test_backgrounds_without_stripes_are_any_picture() -> None:
     reconstruction = tiny_model(stripes=False).eval().infer(torch.rand(2, 3, 32, 32, generator=generator(0)))
     assert reconstruction.backgrounds.std(dim=3).min() > 1e-4
+
+
+def test_poses_of_symmetric_objects_are_read_off_mirror_images_too() -> None:
+    model, images = tiny_model().eval(), pictures(3)
+    read = model.read_poses(images)
+    torch.testing.assert_close(model.read_poses(images.flip(-1)), model.poses.mirror(read), atol=1e-5, rtol=0)
+    lopsided = tiny_model(shape=replace(MODEL.shape, mirror=False)).eval()
+    own = lopsided.pose_decoder(lopsided.pose_encoder(images)).coordinates
+    torch.testing.assert_close(lopsided.read_poses(images), own)
+    assert (lopsided.read_poses(images) - read).abs().amax() > 1e-3

@@ -1,0 +1,59 @@
+"""Lessons: the pose networks learn to read known poses off photographs (ours).
+
+Once before full training, from first poses, and once after it, from the recorded ones. During full training a
+photograph is seen a few times, among losses that pull at the same networks; a lesson is cheap, for nothing is rendered.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+from torch.optim.lr_scheduler import LambdaLR
+from tqdm import tqdm
+
+from pipeline.datasets.images import Images
+from pipeline.distributed import average_gradients, share, silent
+from pipeline.networks.full_model import FullModel
+from pipeline.networks.pose_decoder import regression_error
+
+
+@dataclass(frozen=True)
+class LessonsConfig:
+    """Settings of the lessons."""
+
+    iterations: int
+    """0 leaves them out."""
+    batch_size: int
+    learning_rate: float
+    """In the first half of the iterations; it falls to zero in the second."""
+    betas: tuple[float, float]
+
+
+def learn_poses(
+    model: FullModel,
+    photographs: Images,
+    index: Int[Tensor, " P"],
+    poses: Float[Tensor, "P 7"],
+    config: LessonsConfig,
+    rng: torch.Generator,
+) -> None:
+    """Train the pose networks to read poses off some photographs and, negated, off their mirror images.
+
+    Every head learns from every photograph. What thousands of photographs agree on outweighs single wrong poses.
+    """
+    parameters = [*model.pose_encoder.parameters(), *model.pose_decoder.parameters()]
+    optimizer = torch.optim.Adam(parameters, lr=config.learning_rate, betas=config.betas)
+    schedule = LambdaLR(optimizer, lambda step: min(1.0, 2 - 2 * step / config.iterations))
+    for _ in tqdm(range(config.iterations), "lessons", disable=silent()):
+        rows = share(torch.randint(len(index), (config.batch_size,), generator=rng, device=rng.device))
+        images, wanted = photographs[index[rows]].float() / 255, poses[rows]
+        code = model.pose_encoder(torch.cat([images, images.flip(-1)]))
+        wanted = torch.cat([wanted, model.poses.mirror(wanted)])
+        loss = regression_error(model.pose_decoder.ensemble(code), wanted[:, None])
+        loss = loss + regression_error(model.pose_decoder(code), wanted)
+        optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        average_gradients(optimizer)
+        optimizer.step()
+        schedule.step()
