@@ -42,7 +42,7 @@ def divide_seeds(out: Path) -> None:
     """Time steps of base-shape learning from two seeds, which the processes divide."""
     config = load(PARAMETERS, BaseShapeConfig, SECTIONS)
     with initialised(0):
-        extractor = FeatureExtractor(WideResNet(16, 2, 4), color_weight=20.0)
+        extractor = FeatureExtractor(WideResNet(16, 2, 4), color_weight=60.0)
     pictures = torch.randint(0, 256, (256, 3, 32, 32), generator=generator(0)).to(torch.uint8)
     photographs = Photographs(pictures, extractor, 64, memory=2**30)
     sphere = build_sphere(config.subdivisions, torch.device("cpu"))

@@ -39,7 +39,7 @@ def trainer_of(size: str) -> FullTrainer:
     directions, faces = (part.to(DEVICE) for part in icosphere(3))
     base = Mesh(directions[None] * directions.new_tensor([0.25, 0.25, 0.5]), faces, directions)
     with initialised(0):
-        extractor = FeatureExtractor(WideResNet(16, WIDTHS[size], 4), color_weight=20.0).to(DEVICE)
+        extractor = FeatureExtractor(WideResNet(16, WIDTHS[size], 4), color_weight=60.0).to(DEVICE)
     pictures = torch.randint(0, 256, (256, 3, 32, 32), generator=generator(0)).to(DEVICE, torch.uint8)
     return FullTrainer(config, Photographs(pictures, extractor, 64, memory=2**30), extractor, base, seed=0)
 

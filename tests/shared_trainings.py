@@ -28,7 +28,7 @@ SEEDS = replace(test_base_shape.CONFIG, seeds=3, iterations=2)
 
 def take_steps(folder: Path) -> None:
     """Take steps of each training and write what every process holds then; learn seeds; train the full model."""
-    state = {**_features(), **_base_shape(), **_warm_up(), **_full()}
+    state = {**_features(), **_base_shape(), **_warm_up(), **_first_poses(), **_lessons(), **_full()}
     save_tensors(folder / f"{world().rank}.safetensors", state, {})
     learn_seeds(folder)
     train(folder, None)
@@ -80,28 +80,42 @@ def _base_shape() -> dict[str, Tensor]:
 
 
 def _warm_up() -> dict[str, Tensor]:
-    trainer, (images, poses) = _full_trainer(), photographs(8)
-    warm_up(trainer.model, tiny_scenes().generators[0], TRAINING.warm_up, trainer.rng)
-    warmed_up = _weights("warm-up", trainer.model)
-    trainer, config = _full_trainer(), TRAINING.first_poses
+    trainer = _full_trainer()
+    warm_up(trainer.model, tiny_scenes().generators[0], replace(TRAINING.warm_up, iterations=1), trainer.rng)
+    return _weights("warm-up", trainer.model)
+
+
+def _first_poses() -> dict[str, Tensor]:
+    trainer, (images, _) = _full_trainer(), photographs(8)
+    config, light = TRAINING.first_poses, TRAINING.warm_up.light
     assert config is not None
-    learn_poses(trainer.model, images, torch.arange(len(poses)), poses, TRAINING.lessons, trainer.rng)
-    lessons, light = _weights("lessons", trainer.model), TRAINING.warm_up.light
-    found = first_poses(trainer.model, tiny_scenes(), tiny_extractor(), images, config, light, trainer.rng)
-    return {**warmed_up, **lessons, "first poses": found}
+    return {
+        "first poses": first_poses(trainer.model, tiny_scenes(), tiny_extractor(), images, config, light, trainer.rng)
+    }
+
+
+def _lessons() -> dict[str, Tensor]:
+    trainer, (images, poses) = _full_trainer(), photographs(8)
+    index, config = torch.arange(len(poses)), replace(TRAINING.lessons, iterations=1)
+    learn_poses(trainer.model, images, index, poses, config, trainer.rng)
+    return _weights("lessons", trainer.model)
 
 
 def _full() -> dict[str, Tensor]:
-    """Take one step near the record and one that tries everything."""
+    """Take one step near the record and, from the same start, one that tries everything."""
+    return {**_full_step("near", 0), **_full_step("everything", TRAINING.settle)}
+
+
+def _full_step(name: str, iteration: int) -> dict[str, Tensor]:
     trainer = _full_trainer()
-    losses = [list(trainer.step(iteration).values()) for iteration in (0, TRAINING.settle)]
+    losses = list(trainer.step(iteration).values())
     return {
-        **_weights("full", trainer.model),
-        **_weights("discriminator", trainer.discriminator),
-        "full.losses": torch.tensor(losses),
-        "record.pose": trainer.record.pose,
-        "record.shape": trainer.record.shape,
-        "record.visits": trainer.visits,
+        **_weights(f"{name} full", trainer.model),
+        **_weights(f"{name} discriminator", trainer.discriminator),
+        f"{name} full.losses": torch.stack(losses),
+        f"{name} record.pose": trainer.record.pose,
+        f"{name} record.shape": trainer.record.shape,
+        f"{name} record.visits": trainer.visits,
     }
 
 
