@@ -63,6 +63,7 @@ TRAINING = FullTrainingConfig(
     warm_up=WarmUpConfig(2, 4, 1e-3, (0.9, 0.99), LightConfig(0.5, 0.5), 0.3, 0.1),
     first_poses=FirstPosesConfig(8, 0.5, 0.1, 0.85, 1.0, 20.0, ConsensusConfig(1, 0.4, 4, 0.3, 0.3, 2, 3.0), 100),
     lessons=LessonsConfig(2, 4, 1e-3, (0.9, 0.99)),
+    ends=None,
     settle=2,
     exploration=ExplorationConfig((0.1, 1.0, 2.0), 1, 2, 3, 2, 1, 1, (0.02, 0.2), (0.02, 0.2), 0.5, 180.0),
     loss=LossConfig(0.1, 1.0, 1.0, 1.0, 1.0, 0.1, 0.1, SmoothnessConfig(1.0, 0.0, 0.0, 0.01, 0.0, 0.0)),
@@ -97,9 +98,11 @@ def photographs(count: int) -> tuple[UInt8[Tensor, "N 3 32 32"], Float[Tensor, "
     return photographs_of(coordinates), coordinates
 
 
-def photographs_of(coordinates: Float[Tensor, "N 7"]) -> UInt8[Tensor, "N 3 32 32"]:
+def photographs_of(
+    coordinates: Float[Tensor, "N 7"], pose_range: PoseRange = MODEL.pose_range
+) -> UInt8[Tensor, "N 3 32 32"]:
     """Render the base mesh, front red and rear blue, at poses."""
-    model, count = tiny_model(), len(coordinates)
+    model, count = tiny_model(pose_range=pose_range), len(coordinates)
     vertices = model.base_vertices.expand(count, -1, -1)
     columns = torch.linspace(0, 1, 32)
     front = 1 - (2 * columns - 1).abs()

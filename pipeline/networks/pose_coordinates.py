@@ -60,9 +60,15 @@ class PoseCoordinates(nn.Module):
 
     def forward(self, coordinates: Float[Tensor, "B 7"], vertices: Float[Tensor, "B V 3"]) -> Pose:
         """Return the poses that put the shapes where the coordinates say. Gradients flow to both."""
-        elevation, roll = (self.middle[:2] + self.reach[:2] * coordinates[:, 2:4]).unbind(1)
+        elevation = self.middle[0] + self.reach[0] * coordinates[:, 2]
         azimuth = torch.atan2(coordinates[:, 1], coordinates[:, 0])
-        return place_in_picture(vertices, azimuth, elevation, roll, *self.box(coordinates), self.camera)
+        return place_in_picture(
+            vertices, azimuth, elevation, self.roll(coordinates), *self.box(coordinates), self.camera
+        )
+
+    def roll(self, coordinates: Float[Tensor, "B 7"]) -> Float[Tensor, " B"]:
+        """Return the rolls in radians."""
+        return self.middle[1] + self.reach[1] * coordinates[:, 3]
 
     def box(self, coordinates: Float[Tensor, "B 7"]) -> tuple[Float[Tensor, "B 2"], Float[Tensor, " B"]]:
         """Return the middle of the object's box in the picture in ndc, and its longer side over the picture's."""

@@ -45,9 +45,9 @@ class PoseRegression(NamedTuple):
 class PoseDecoder(nn.Module):
     """Regress poses with several heads of one hidden layer (Insafutdinov & Dosovitskiy 2018).
 
-    A single regressor of an ambiguous view settles between the answers. Of the ensemble only the head that explains a
-    photograph best is trained on it, so that heads come to stand for different answers; the student, a head of its own,
-    learns to choose.
+    A single regressor of an ambiguous view settles between the answers. In a step of full training only the ensemble's
+    head that explains a photograph best is trained on it, so that heads come to stand for different answers (lessons
+    train all of them); the student, a head of its own, learns to choose.
     """
 
     def __init__(self, code_size: int, hidden_size: int, ensemble: int) -> None:

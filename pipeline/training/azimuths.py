@@ -71,7 +71,7 @@ def agree_on_azimuths(
     probabilities = balance(scores, colors, share, config.smaller_end)
     if config.rounds == 0:
         return probabilities
-    features = paintless_features(images, extractor, config, rng)
+    features = paintless_features(images, extractor, config.components, config.repainting_floor, rng)
     for _ in range(config.rounds):
         scores = config.sharpness * standardize(judge(features, probabilities, config, rng))
         probabilities = balance(scores, colors, share, config.smaller_end)
@@ -160,17 +160,21 @@ def mean_colors(images: Float[Tensor, "N 3 H W"]) -> Float[Tensor, "N K"]:
 
 
 def paintless_features(
-    images: Float[Tensor, "N 3 H W"], extractor: FeatureExtractor, config: ConsensusConfig, rng: torch.Generator
+    images: Float[Tensor, "N 3 H W"],
+    extractor: FeatureExtractor,
+    components: int,
+    repainting_floor: float,
+    rng: torch.Generator,
 ) -> Float[Tensor, "2 N components"]:
     """Return features of photographs and of their mirror images, whitened by how much repainting changes them."""
     features = torch.stack([_flat_features(images, extractor), _flat_features(images.flip(-1), extractor)])
-    components = min(config.components, len(images) // 2)
+    components = min(components, len(images) // 2)
     features -= features.mean(dim=(0, 1))
     basis = _principal_directions(features.flatten(0, 1), components, rng)
     change = _flat_features(repaint(images, rng), extractor) - _flat_features(repaint(images, rng), extractor)
     change = change @ basis
     covariance = change.T @ change / (2 * len(change))
-    floor = config.repainting_floor * covariance.trace() / components
+    floor = repainting_floor * covariance.trace() / components
     values, vectors = torch.linalg.eigh(covariance + floor * torch.eye(components, device=images.device))
     return features @ (basis @ (vectors * values.rsqrt()))
 

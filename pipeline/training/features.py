@@ -20,6 +20,7 @@ from pipeline.seeding import generator, initialised
 from pipeline.training.augmentation import crop_and_mirror, to_float, turn
 from pipeline.training.checkpoint import Checkpoint, pack, require_finite, unpack
 from pipeline.training.curves import Curve
+from pipeline.training.schedule import set_learning_rate
 
 _SAMPLE = 50_000
 """Evenly spread pictures, at least, whose colours stand for those of all."""
@@ -125,8 +126,7 @@ class FeatureTrainer:
     def step(self, iteration: int) -> None:
         """Take one optimisation step."""
         rate = self.config.learning_rate * one_cycle(iteration, self.iterations, self.config.warm_up)
-        for group in self.optimizer.param_groups:
-            group["lr"] = rate
+        set_learning_rate(rate, self.optimizer)
         images, labels = share(self.batch(iteration))
         with _precision(images.device, self.config):
             scores = self.network.train(self.config.method != "transfer")(to_float(images))

@@ -6,6 +6,7 @@ from pathlib import Path
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn import functional
 from tqdm import tqdm
 
 from pipeline.datasets.images import Images
@@ -23,12 +24,14 @@ from pipeline.rendering.renderer import Mesh
 from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, Part, pack, read_losses, unpack
 from pipeline.training.curves import Curve
+from pipeline.training.ends import EndsConfig, tell_ends
 from pipeline.training.exploration import (
     Estimate,
     ExplorationConfig,
     Record,
     explore,
     first_record,
+    flipped,
     refining,
     require_maps,
 )
@@ -36,6 +39,7 @@ from pipeline.training.first_poses import FirstPosesConfig, first_poses, read_po
 from pipeline.training.full_losses import FullLoss, LossConfig
 from pipeline.training.lessons import LessonsConfig, learn_poses
 from pipeline.training.photographs import Photographs
+from pipeline.training.schedule import falling, set_learning_rate
 from pipeline.training.warm_up import WarmUpConfig, warm_up
 
 
@@ -68,7 +72,9 @@ class FullTrainingConfig:
     first_poses: FirstPosesConfig | None
     """None leaves records at the paper's random poses."""
     lessons: LessonsConfig
-    """From the first poses, and after training from the recorded ones."""
+    """From the first poses, from the recorded ones when ends are told apart, and from those after training."""
+    ends: EndsConfig | None
+    """None leaves ends as they are recorded."""
     settle: int
     """Iterations in which poses are refined, but not turned to the object's far side at once: textures that mean
     nothing yet would choose between its ends blindly (docs/decisions.md)."""
@@ -130,8 +136,8 @@ class FullTrainer:
         self.record.pose[index], self.record.shape[index] = gather(best.record.pose), gather(best.record.shape)
         self.visits[index] += 1
         losses = self.loss.terms(features, estimate, best, self.rng)
-        for group in self.optimizer.param_groups:
-            group["lr"] = learning_rate(self.config, iteration)
+        config = self.config
+        set_learning_rate(falling(config.learning_rate, iteration, config.iterations, config.cool_down), self.optimizer)
         self.optimizer.zero_grad(set_to_none=True)
         losses["loss"].backward()
         average_gradients(self.optimizer)
@@ -158,11 +164,33 @@ class FullTrainer:
             agree([poses])
         self.record = Record(poses, self.record.shape)
 
+    def turn_round(self, config: EndsConfig) -> None:
+        """Turn recorded poses of photographs that show the opposite ends, and let the pose networks learn the others'.
+
+        Photographs that say nothing of their ends, or were not visited, show those that the networks read off them.
+        """
+        images, poses, first = self.photographs.images, self.record.pose, config.photographs
+        told = tell_ends(images[:first], poses[:first], self.model.poses, self.extractor, config, self.rng)
+        agree([told])
+        told = functional.pad(told, (0, len(poses) - len(told)))
+        poses = torch.where(told[:, None] < 0, flipped(poses, 1)[0], poses)
+        surely = (told != 0) & (self.visits > 0)
+        if not surely.any():
+            return
+        self._learn(surely.nonzero().flatten(), poses)
+        read = read_poses(self.model, images)
+        agree([read])
+        opposite = ~surely & ((read[:, :2] * poses[:, :2]).sum(dim=1) < 0)
+        self.record = Record(torch.where(opposite[:, None], flipped(poses, 1)[0], poses), self.record.shape)
+
     def review(self) -> None:
         """Let the pose networks learn the recorded poses of all photographs that were visited."""
-        index, config = self.visits.nonzero().flatten(), self.config.lessons
+        index = self.visits.nonzero().flatten()
         if len(index):
-            learn_poses(self.model, self.photographs.images, index, self.record.pose[index], config, self.rng)
+            self._learn(index, self.record.pose)
+
+    def _learn(self, index: Int[Tensor, " P"], poses: Float[Tensor, "N 7"]) -> None:
+        learn_poses(self.model, self.photographs.images, index, poses[index], self.config.lessons, self.rng)
 
     def estimate(self, images: Float[Tensor, "B 3 H W"]) -> Estimate:
         """Run all encoders and decoders on a batch of photographs."""
@@ -193,11 +221,6 @@ class FullTrainer:
             "shape": self.record.shape,
             "visits": self.visits,
         }
-
-
-def learning_rate(config: FullTrainingConfig, iteration: int) -> float:
-    """Return the learning rate of an iteration, counted from 0."""
-    return config.learning_rate * min(1.0, (config.iterations - iteration) / max(1, config.cool_down))
 
 
 def load_base(config: FullTrainingConfig, path: Path, device: torch.device) -> Mesh:
@@ -239,6 +262,8 @@ def train_full(
         checkpoint.save(pack(**trainer.parts()), {"iteration": 0, "rows": [], "recent": []})
     steps = range(first, config.iterations)
     for iteration in tqdm(steps, "full training", initial=first, total=config.iterations, disable=silent()):
+        if config.ends is not None and iteration == int(config.ends.after * config.iterations):
+            trainer.turn_round(config.ends)
         unread.append(trainer.step(iteration))
         last = iteration + 1 == config.iterations
         if last or any((iteration + 1) % every == 0 for every in (config.curve_every, config.checkpoint_every)):

@@ -119,8 +119,7 @@ class FullLoss:
 def pose_regression(estimate: Estimate, best: Best) -> Float[Tensor, ""]:
     """Return the errors of the ensemble's best head and of the student against the recorded poses (term 2).
 
-    Only the head that reconstructs a photograph best learns from it (Insafutdinov &
-    Dosovitskiy 2018).
+    Only the head that reconstructs a photograph best learns from it (Insafutdinov & Dosovitskiy 2018).
     """
     recorded = best.record.pose.detach()
     photograph = torch.arange(len(best.head), device=best.head.device)

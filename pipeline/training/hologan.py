@@ -14,6 +14,7 @@ from pipeline.networks.hologan import HoloDiscriminator, HoloGANConfig, HoloGene
 from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, Part, pack, require_finite, unpack
 from pipeline.training.curves import Curve
+from pipeline.training.schedule import falling, set_learning_rate
 from pipeline.training.viewpoints import ViewpointConfig, sample_viewpoints
 
 
@@ -73,9 +74,8 @@ class HoloGANTrainer:
     def step(self, iteration: int) -> None:
         """Improve the discriminator once and the generator `generator_steps` times on the same noise and views."""
         config = self.config
-        rate = config.learning_rate * min(1.0, 2 - 2 * iteration / config.iterations)
-        for group in self.generator_optimizer.param_groups + self.discriminator_optimizer.param_groups:
-            group["lr"] = rate
+        rate = falling(config.learning_rate, iteration, config.iterations, config.iterations / 2)
+        set_learning_rate(rate, self.generator_optimizer, self.discriminator_optimizer)
         latent = self.generator.sample_latent(config.batch_size, self.rng)
         pose = sample_viewpoints(config.viewpoint, config.batch_size, self.rng)
         draw = (latent, pose.azimuth, pose.elevation)

@@ -1,7 +1,8 @@
 """Lessons: the pose networks learn to read known poses off photographs (ours).
 
-Once before full training, from first poses, and once after it, from the recorded ones. During full training a
-photograph is seen a few times, among losses that pull at the same networks; a lesson is cheap, for nothing is rendered.
+Before full training, from first poses; then from recorded ones, when ends are told apart and after training. During
+full training a photograph is seen a few times, among losses that pull at the same networks; a lesson is cheap, for
+nothing is rendered.
 """
 
 from dataclasses import dataclass
@@ -9,13 +10,13 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.optim.lr_scheduler import LambdaLR
 from tqdm import tqdm
 
 from pipeline.datasets.images import Images
 from pipeline.distributed import average_gradients, share, silent
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_decoder import regression_error
+from pipeline.training.schedule import falling, set_learning_rate
 
 
 @dataclass(frozen=True)
@@ -44,16 +45,15 @@ def learn_poses(
     """
     parameters = [*model.pose_encoder.parameters(), *model.pose_decoder.parameters()]
     optimizer = torch.optim.Adam(parameters, lr=config.learning_rate, betas=config.betas)
-    schedule = LambdaLR(optimizer, lambda step: min(1.0, 2 - 2 * step / config.iterations))
-    for _ in tqdm(range(config.iterations), "lessons", disable=silent()):
+    for step in tqdm(range(config.iterations), "lessons", disable=silent()):
         rows = share(torch.randint(len(index), (config.batch_size,), generator=rng, device=rng.device))
         images, wanted = photographs[index[rows]].float() / 255, poses[rows]
         code = model.pose_encoder(torch.cat([images, images.flip(-1)]))
         wanted = torch.cat([wanted, model.poses.mirror(wanted)])
         loss = regression_error(model.pose_decoder.ensemble(code), wanted[:, None])
         loss = loss + regression_error(model.pose_decoder(code), wanted)
+        set_learning_rate(falling(config.learning_rate, step, config.iterations, config.iterations / 2), optimizer)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         average_gradients(optimizer)
         optimizer.step()
-        schedule.step()

@@ -15,10 +15,11 @@ from pipeline.networks.pose_coordinates import PoseRange
 from pipeline.seeding import generator
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.curves import Curve
+from pipeline.training.ends import EndsConfig
 from pipeline.training.exploration import score
 from pipeline.training.fine_tune import FineTuneConfig, PhaseConfig, fine_tune
 from pipeline.training.first_poses import read_poses
-from pipeline.training.full import FullTrainer, FullTrainingConfig, learning_rate, train_full
+from pipeline.training.full import FullTrainer, FullTrainingConfig, train_full
 from pipeline.training.photographs import Photographs
 from tests.tiny_full_model import MODEL, TRAINING, base_mesh, photographs, tiny_extractor, tiny_model, tiny_scenes
 
@@ -58,6 +59,30 @@ def test_interrupted_training_ends_with_the_same_bytes(config: FullTrainingConfi
     train(replace(config, iterations=2), tmp_path / "halves")
     halves = state(train(config, tmp_path / "halves"))
     assert whole.keys() == halves.keys()
+    assert [name for name in whole if not torch.equal(whole[name], halves[name])] == []
+
+
+def test_training_that_dies_after_telling_ends_resumes_to_the_same_bytes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ends = EndsConfig(0.5, 0.85, 8, 0.3, 60.0, 85.0, 3, 4.0, 2, 1000)
+    config = replace(TRAINING, first_poses=None, ends=ends, photographs_per_iteration=40.0)
+    count, step = 80, FullTrainer.step
+    whole = state(train(config, tmp_path / "whole", count))
+    untold = state(train(replace(config, ends=None), tmp_path / "untold", count))
+    turned = (whole["pose"][:, :2] * untold["pose"][:, :2]).sum(dim=1) < -0.9
+    assert 0.1 < turned.float().mean() < 0.9
+
+    def deadly(self: FullTrainer, iteration: int) -> dict[str, Tensor]:
+        if iteration == 2:
+            raise KeyboardInterrupt
+        return step(self, iteration)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(FullTrainer, "step", deadly)
+        with pytest.raises(KeyboardInterrupt):
+            train(config, tmp_path / "halves", count)
+    halves = state(train(config, tmp_path / "halves", count))
     assert [name for name in whole if not torch.equal(whole[name], halves[name])] == []
 
 
@@ -173,10 +198,3 @@ def test_fine_tuning_moves_only_background_pose_and_shape(tmp_path: Path) -> Non
     assert torch.equal(results["backgrounds_predicted"], results["backgrounds_tuned"])
     assert not torch.equal(results["pose_predicted"], results["pose_tuned"])
     torch.testing.assert_close(results["textures"], model.infer(images.float() / 255).texture_maps)
-
-
-def test_the_learning_rate_falls_to_zero_over_the_cool_down() -> None:
-    config = replace(TRAINING, iterations=10, learning_rate=0.4, cool_down=4)
-    rates = [learning_rate(config, iteration) for iteration in range(10)]
-    assert rates == pytest.approx([0.4] * 7 + [0.3, 0.2, 0.1])
-    assert {learning_rate(replace(config, cool_down=0), iteration) for iteration in range(10)} == {0.4}

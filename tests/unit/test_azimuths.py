@@ -177,8 +177,7 @@ def test_features_in_units_of_repainting_tell_azimuths_better_than_paint() -> No
     repainted = torch.cat([repaint(pictures, generator(1)), repaint(pictures, generator(2))])
 
     def share_of_paint(floor: float) -> float:
-        config = ConsensusConfig(1, 0.0, 8, floor, 0.3, 2, 3.0)
-        features = paintless_features(repainted, extractor, config, generator(3))[0].unflatten(0, (2, 24))
+        features = paintless_features(repainted, extractor, 8, floor, generator(3))[0].unflatten(0, (2, 24))
         return ((features[0] - features[1]).square().mean() / features.var()).item()
 
     assert share_of_paint(0.01) < share_of_paint(1e4)

@@ -1,0 +1,147 @@
+"""Tell the ends of mirror-symmetric objects apart, in the midst of full training (ours).
+
+By then the records hold axes and boxes, but which end of its axis a photograph shows is nearly chance: renderings tell
+builds apart, not ends (a van's ends are both steep, a saloon's both low). What changes sign in the mirror knows nothing
+of build and paint. Cars seen from the side face left or right, so there it has two clusters, one the mirror image of
+the other. From the sides a regression spreads what it has learned to ever more oblique views, and what it says there
+of the photographs it was not fitted to replaces what was believed. Objects that are seen along their axis are left to
+networks that have learned the others.
+
+Both ends have to be photographed about equally often: at every slant the regression calls half of them either.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, UInt8
+from torch import Tensor
+from torch.nn import functional
+
+from pipeline.networks.feature_extractor import FeatureExtractor
+from pipeline.networks.pose_coordinates import PoseCoordinates
+from pipeline.training.azimuths import paintless_features
+
+_CHUNK = 250
+_FEWEST = 50
+"""Photographs of sides below which no clusters can be told."""
+_LEADING = 4
+"""Principal components among which two clusters are looked for."""
+_SHARPNESS = 1.2
+"""Of beliefs: one standard deviation of the scores is believed by tanh(1.2) = .83."""
+
+
+@dataclass(frozen=True)
+class EndsConfig:
+    """When ends are told apart, and how."""
+
+    after: float
+    """Part of full training's iterations before it."""
+    box_size: float
+    """Longer side of the object's box over the side of a cut picture."""
+    components: int
+    """Principal components of the features."""
+    repainting_floor: float
+    """Added to the variances under repainting, as a part of their mean."""
+    side_reach: float
+    """Slant up to which an object counts as seen from the side, in degrees."""
+    reach: float
+    """Slant up to which ends are told, in degrees; 90 looks along the axis."""
+    rounds: int
+    """In which the regression spreads from the sides to `reach`."""
+    ridge: float
+    """Penalty of the regression, as a part of a coefficient's mean variance."""
+    folds: int
+    """Parts of the photographs that are judged in turn by a regression fitted to the others."""
+    photographs: int
+    """How many are compared with each other, from the first on."""
+
+
+@torch.no_grad()
+def tell_ends(
+    photographs: UInt8[Tensor, "N 3 H W"],
+    coordinates: Float[Tensor, "N 7"],
+    poses: PoseCoordinates,
+    extractor: FeatureExtractor,
+    config: EndsConfig,
+    rng: torch.Generator,
+) -> Float[Tensor, " N"]:
+    """Return whether photographs show the ends that their pose coordinates say: 1 surely so, -1 the opposite ends.
+
+    0 where the object is seen along its axis, and everywhere where too few photographs show sides. Which of the two
+    clusters faces left is not known: the coordinates of the majority are taken to be right.
+    """
+    images = cut_upright(photographs, poses, coordinates, config.box_size)
+    here, mirrored = paintless_features(images, extractor, config.components, config.repainting_floor, rng)
+    to_the_right = coordinates[:, 1:2] < 0
+    odd = torch.where(to_the_right, mirrored - here, here - mirrored)
+    roll = torch.where(to_the_right, -1, 1) * poses.roll(coordinates)[:, None]
+    slant = -functional.normalize(coordinates[:, :2], dim=1)[:, 0].asin()
+    belief = facing(odd, slant, torch.cat([slant[:, None] * coordinates[:, 2:3], roll], 1), config, rng)
+    return belief if belief.sum() >= 0 else -belief
+
+
+def facing(
+    odd: Float[Tensor, "N C"],
+    slant: Float[Tensor, " N"],
+    others: Float[Tensor, "N K"],
+    config: EndsConfig,
+    rng: torch.Generator,
+) -> Float[Tensor, " N"]:
+    """Split objects by the way they face, from -1 to 1, up to a common sign; 0 beyond the reach of the config.
+
+    `odd` changes its sign in the mirror, as do the slant (radians; 0 is a side view) and all `others` that are known
+    of a picture. They are taken off first, at the sides and then in every round, or the split would follow them.
+    """
+    known = torch.cat([torch.stack([slant, slant**3, slant**5], 1), others], 1)
+    odd = odd / odd.std()
+    first, last = math.radians(config.side_reach), math.radians(config.reach)
+    belief, seen = torch.zeros_like(slant), slant.abs() <= first
+    if seen.sum() < _FEWEST:
+        return belief
+    belief[seen] = (_SHARPNESS * _two_clusters(odd[seen] - known[seen] @ _fit(known[seen], odd[seen]))).tanh()
+    powers = torch.stack([(slant / last) ** power for power in (0, 2, 4)], 1)
+    fold = torch.randperm(len(slant), generator=rng, device=rng.device) % config.folds
+    for reach in torch.linspace(first, last, config.rounds).tolist():
+        within, scores = slant.abs() <= reach, torch.zeros_like(slant)
+        for held_out in range(config.folds):
+            fitted, judged = seen & (fold != held_out), within & (fold == held_out)
+            effect = _fit(known[fitted], odd[fitted])
+            design, of_judged = (
+                ((odd[rows] - known[rows] @ effect)[:, :, None] * powers[rows, None]).flatten(1)
+                for rows in (fitted, judged)
+            )
+            weights = _fit(design, belief[fitted, None], config.ridge)[:, 0]
+            scores[judged] = of_judged @ weights / (design @ weights).abs().mean()
+        belief, seen = torch.where(within, (_SHARPNESS * scores).tanh(), 0), within
+    return belief
+
+
+def cut_upright(
+    photographs: UInt8[Tensor, "N 3 H W"], poses: PoseCoordinates, coordinates: Float[Tensor, "N 7"], box_size: float
+) -> Float[Tensor, "N 3 H W"]:
+    """Cut photographs so that each object's box stands upright in the middle; outside is the picture's reflection."""
+    center, extent = poses.box(coordinates)
+    roll = poses.roll(coordinates)
+    turn = torch.stack([roll.cos(), roll.sin(), -roll.sin(), roll.cos()], 1).view(-1, 2, 2)
+    shift = center * center.new_tensor([1.0, -1.0])  # ndc is y up, grids are y down
+    transform = torch.cat([(extent / box_size)[:, None, None] * turn, shift[:, :, None]], 2)
+    cuts = []
+    for images, of_images in zip(photographs.split(_CHUNK), transform.split(_CHUNK), strict=True):
+        grid = functional.affine_grid(of_images, list(images.shape), align_corners=False)
+        cuts.append(functional.grid_sample(images / 255, grid, padding_mode="reflection", align_corners=False))
+    return torch.cat(cuts)
+
+
+def _two_clusters(values: Float[Tensor, "N C"]) -> Float[Tensor, " N"]:
+    """Return the leading principal component of least kurtosis, in standard deviations: 1 for two points, 3 normal."""
+    components = torch.linalg.svd(values, full_matrices=False).U[:, :_LEADING] * math.sqrt(len(values))
+    kurtosis = components.pow(4).mean(dim=0) / components.square().mean(dim=0).square()
+    return components[:, kurtosis.argmin()]
+
+
+def _fit(design: Float[Tensor, "N D"], targets: Float[Tensor, "N K"], ridge: float = 1e-6) -> Float[Tensor, "D K"]:
+    """Return the coefficients of a ridge regression without a constant."""
+    variance = design.T @ design / len(design)
+    penalty = ridge * variance.diagonal().mean() * torch.eye(len(variance), device=design.device)
+    return torch.linalg.solve(variance + penalty, design.T @ targets / len(design))

@@ -1,0 +1,15 @@
+"""Learning rates."""
+
+import torch
+
+
+def set_learning_rate(rate: float, *optimizers: torch.optim.Optimizer) -> None:
+    """Give all parameters of some optimisers one learning rate."""
+    for optimizer in optimizers:
+        for group in optimizer.param_groups:
+            group["lr"] = rate
+
+
+def falling(rate: float, iteration: int, iterations: int, cool_down: float) -> float:
+    """Return the learning rate of an iteration, counted from 0, that falls to zero over the last `cool_down` of all."""
+    return rate * min(1.0, (iterations - iteration) / max(1, cool_down))

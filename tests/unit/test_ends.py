@@ -1,0 +1,94 @@
+"""Ends that photographs show, told by what changes sign in the mirror."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from torch import Tensor
+
+from pipeline.seeding import generator
+from pipeline.training.ends import EndsConfig, cut_upright, facing, tell_ends
+from pipeline.training.exploration import flipped
+from tests.tiny_full_model import MODEL, photographs_of, tiny_extractor, tiny_model
+
+CONFIG = EndsConfig(
+    after=0.5,
+    box_size=0.85,
+    components=32,
+    repainting_floor=0.3,
+    side_reach=22.0,
+    reach=75.0,
+    rounds=20,
+    ridge=4.0,
+    folds=5,
+    photographs=1000,
+)
+COUNT = 400
+
+
+def slants(count: int) -> Tensor:
+    return math.pi * (torch.rand(count, generator=generator(0)) - 0.5)
+
+
+def odd_features(facing_left: Tensor, slant: Tensor, roll: Tensor) -> Tensor:
+    """Encode facing, by parts that turn with the slant, less strongly than the slant itself and the roll."""
+    mixing = torch.randn(5, 12, generator=generator(1))
+    shown = torch.stack([facing_left * slant.cos(), facing_left * slant.sin().square(), 6 * slant, 5 * roll], 1)
+    other = torch.randn(len(slant), 1, generator=generator(2))
+    return torch.cat([shown, other], 1) @ mixing + 0.1 * torch.randn(len(slant), 12, generator=generator(3))
+
+
+def share_right(belief: Tensor, truth: Tensor) -> float:
+    told = belief != 0
+    right = (belief[told] * truth[told] > 0).float().mean().item()
+    return max(right, 1 - right)
+
+
+def test_facing_is_told_whatever_slant_and_roll() -> None:
+    slant, (truth, side) = slants(COUNT), torch.randint(2, (2, COUNT), generator=generator(4)) * 2.0 - 1
+    roll = 0.2 * side + 0.05 * torch.randn(COUNT, generator=generator(5))  # two clusters as well
+    odd = odd_features(truth, slant, roll)
+    belief = facing(odd, slant, roll[:, None], CONFIG, generator(6))
+    assert share_right(belief, truth) > 0.95
+    assert torch.equal(belief != 0, slant.abs() <= math.radians(CONFIG.reach))
+    mirrored = facing(-odd, -slant, -roll[:, None], CONFIG, generator(6))
+    assert share_right(mirrored, truth) > 0.95
+    unaware_of_roll = facing(odd, slant, torch.zeros(COUNT, 1), CONFIG, generator(6))
+    assert share_right(unaware_of_roll, truth) < 0.8
+
+
+def test_nothing_is_told_where_few_sides_are_seen() -> None:
+    slant = slants(60)
+    belief = facing(odd_features(torch.ones(60), slant, slant), slant, slant[:, None], CONFIG, generator(6))
+    assert not belief.any()
+
+
+def test_photographs_tell_which_recorded_ends_are_wrong() -> None:
+    model = tiny_model()
+    truth = model.poses.draw(COUNT, generator(2))
+    wrong = torch.rand(COUNT, generator=generator(7)) < 0.35
+    recorded = torch.where(wrong[:, None], flipped(truth, 1)[0], truth)
+    images, extractor = photographs_of(truth), tiny_extractor()
+    belief = tell_ends(images, recorded, model.poses, extractor, CONFIG, generator(8))
+    told = belief != 0
+    assert told.float().mean() > 0.7
+    assert ((belief < 0) == wrong)[told].float().mean() > 0.95
+
+
+def test_objects_are_cut_upright() -> None:
+    pose_range = replace(MODEL.pose_range, roll=(-40.0, 40.0))
+    model = tiny_model(pose_range=pose_range)
+    side = torch.tensor([[0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0]])
+    rolled = side + torch.tensor([[0.0, 0.0, 0.0, 0.75, 0.0, 0.0, 0.0]])
+    rolls = model.poses(rolled, model.base_vertices[None]).roll
+    torch.testing.assert_close(model.poses.roll(rolled), rolls)
+    torch.testing.assert_close(rolls, torch.tensor([math.radians(30)]))
+
+    def proportion(coordinates: Tensor) -> float:
+        pictures = cut_upright(photographs_of(coordinates, pose_range), model.poses, coordinates, 0.6)
+        covered = (pictures[0] - 0.8).abs().amax(dim=0) > 0.1
+        return (covered.any(dim=1).sum() / covered.any(dim=0).sum()).item()
+
+    assert proportion(rolled) == pytest.approx(proportion(side), abs=0.12)
+    assert proportion(side) < 0.6
