@@ -73,7 +73,7 @@ def agree_on_azimuths(
         return probabilities
     features = paintless_features(images, extractor, config.components, config.repainting_floor, rng)
     for _ in range(config.rounds):
-        scores = config.sharpness * standardize(judge(features, probabilities, config, rng))
+        scores = config.sharpness * standardize(judge(features, probabilities, config.ridge, config.folds, rng))
         probabilities = balance(scores, colors, share, config.smaller_end)
     return probabilities
 
@@ -198,7 +198,8 @@ def repaint(images: Float[Tensor, "N 3 H W"], rng: torch.Generator) -> Float[Ten
 def judge(
     features: Float[Tensor, "2 N components"],
     probabilities: Float[Tensor, "N azimuths"],
-    config: ConsensusConfig,
+    ridge: float,
+    folds: int,
     rng: torch.Generator,
 ) -> Float[Tensor, "N azimuths"]:
     """Return scores of azimuths by ridge regressions fitted to the other folds.
@@ -209,10 +210,10 @@ def judge(
     azimuths = bins(probabilities.device)[:, None] * torch.arange(1, _HARMONICS + 1, device=probabilities.device)
     waves = torch.cat([azimuths.cos(), azimuths.sin()], 1)
     targets = torch.stack([probabilities, mirrored(probabilities)]) @ waves
-    penalty = config.ridge * features.var() * torch.eye(features.shape[2], device=features.device)
-    fold = torch.randperm(count, generator=rng, device=rng.device) % config.folds
+    penalty = ridge * features.var() * torch.eye(features.shape[2], device=features.device)
+    fold = torch.randperm(count, generator=rng, device=rng.device) % folds
     scores = torch.zeros_like(probabilities)
-    for held_out in range(config.folds):
+    for held_out in range(folds):
         seen, judged = features[:, fold != held_out].flatten(0, 1), features[:, fold == held_out]
         wanted = targets[:, fold != held_out].flatten(0, 1)
         weights = torch.linalg.solve(seen.T @ seen / len(seen) + penalty, seen.T @ wanted / len(seen))

@@ -4,8 +4,9 @@ By then the records hold axes and boxes, but which end of its axis a photograph 
 builds apart, not ends (a van's ends are both steep, a saloon's both low). What changes sign in the mirror knows nothing
 of build and paint. Cars seen from the side face left or right, so there it has two clusters, one the mirror image of
 the other. From the sides a regression spreads what it has learned to ever more oblique views, and what it says there
-of the photographs it was not fitted to replaces what was believed. Objects that are seen along their axis are left to
-networks that have learned the others.
+of the photographs it was not fitted to replaces what was believed. What all photographs show, those along the axis too,
+is judged by a last regression, of the azimuths that follow, on all features: among photographs whose ends were told by
+which way they face, builds are the same at both.
 
 Both ends have to be photographed about equally often: at every slant the regression calls half of them either.
 """
@@ -20,7 +21,7 @@ from torch.nn import functional
 
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.pose_coordinates import PoseCoordinates
-from pipeline.training.azimuths import paintless_features
+from pipeline.training.azimuths import AZIMUTHS, judge, paintless_features
 
 _CHUNK = 250
 _FEWEST = 50
@@ -50,9 +51,9 @@ class EndsConfig:
     rounds: int
     """In which the regression spreads from the sides to `reach`."""
     ridge: float
-    """Penalty of the regression, as a part of a coefficient's mean variance."""
+    """Penalty of the regressions, as a part of a coefficient's mean variance."""
     folds: int
-    """Parts of the photographs that are judged in turn by a regression fitted to the others."""
+    """Parts of the photographs that are judged in turn by regressions fitted to the others."""
     photographs: int
     """How many are compared with each other, from the first on."""
 
@@ -66,10 +67,10 @@ def tell_ends(
     config: EndsConfig,
     rng: torch.Generator,
 ) -> Float[Tensor, " N"]:
-    """Return whether photographs show the ends that their pose coordinates say: 1 surely so, -1 the opposite ends.
+    """Return whether photographs show the ends that their pose coordinates say: positive if so, else negative.
 
-    0 where the object is seen along its axis, and everywhere where too few photographs show sides. Which of the two
-    clusters faces left is not known: the coordinates of the majority are taken to be right.
+    0 everywhere where too few photographs show sides. Which of the two clusters faces left is not known: the
+    coordinates of the majority are taken to be right.
     """
     images = cut_upright(photographs, poses, coordinates, config.box_size)
     here, mirrored = paintless_features(images, extractor, config.components, config.repainting_floor, rng)
@@ -78,7 +79,13 @@ def tell_ends(
     roll = torch.where(to_the_right, -1, 1) * poses.roll(coordinates)[:, None]
     slant = -functional.normalize(coordinates[:, :2], dim=1)[:, 0].asin()
     belief = facing(odd, slant, torch.cat([slant[:, None] * coordinates[:, 2:3], roll], 1), config, rng)
-    return belief if belief.sum() >= 0 else -belief
+    if not belief.any():
+        return belief
+    seen, opposite = opposite_bins(torch.atan2(coordinates[:, 1], coordinates[:, 0]))
+    probabilities = ((1 + belief) * seen.T + (1 - belief) * opposite.T).T / 2
+    scores = judge(torch.stack([here, mirrored]), probabilities, config.ridge, config.folds, rng)
+    lead = (scores * (seen - opposite)).sum(dim=1)
+    return lead if lead.sign().sum() >= 0 else -lead
 
 
 def facing(
@@ -115,6 +122,13 @@ def facing(
             scores[judged] = of_judged @ weights / (design @ weights).abs().mean()
         belief, seen = torch.where(within, (_SHARPNESS * scores).tanh(), 0), within
     return belief
+
+
+def opposite_bins(azimuth: Float[Tensor, " N"]) -> tuple[Float[Tensor, "N azimuths"], Float[Tensor, "N azimuths"]]:
+    """Return, as distributions over the bins of `azimuths`, the azimuths and the opposite ones."""
+    index = (azimuth * (AZIMUTHS / (2 * math.pi))).round().long() % AZIMUTHS
+    seen = functional.one_hot(index, AZIMUTHS).to(azimuth.dtype)
+    return seen, seen.roll(AZIMUTHS // 2, dims=1)
 
 
 def cut_upright(

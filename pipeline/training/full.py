@@ -165,9 +165,9 @@ class FullTrainer:
         self.record = Record(poses, self.record.shape)
 
     def turn_round(self, config: EndsConfig) -> None:
-        """Turn recorded poses of photographs that show the opposite ends, and let the pose networks learn the others'.
+        """Turn recorded poses of photographs that show the opposite ends, and let the pose networks learn them.
 
-        Photographs that say nothing of their ends, or were not visited, show those that the networks read off them.
+        Photographs beyond the first, or without a visit, show the ends that the networks then read off them.
         """
         images, poses, first = self.photographs.images, self.record.pose, config.photographs
         told = tell_ends(images[:first], poses[:first], self.model.poses, self.extractor, config, self.rng)

@@ -58,7 +58,9 @@ def after_rounds(votes: Tensor, features: Tensor, colors: Tensor, rounds: int) -
     share = symmetric_share(scores)
     probabilities = balance(scores, colors, share, CONFIG.smaller_end)
     for index in range(rounds):
-        scores = CONFIG.sharpness * standardize(judge(features, probabilities, CONFIG, generator(6 + index)))
+        scores = CONFIG.sharpness * standardize(
+            judge(features, probabilities, CONFIG.ridge, CONFIG.folds, generator(6 + index))
+        )
         probabilities = balance(scores, colors, share, CONFIG.smaller_end)
     return probabilities
 
