@@ -74,7 +74,9 @@ def test_each_ablation_changes_what_its_name_says() -> None:
     for ablation in PARAMS["ablations"]:
         paths = {}
         for stage, kind in (("learn_base_shape", BaseShapeConfig), ("train_full", FullTrainingConfig)):
-            usual, other = load(PATH, kind, [stage]), load(PATH, kind, [stage, f"ablations.{ablation}.{stage}"])
+            sections = [stage, f"rows.toybox-car.{stage}"]
+            usual = load(PATH, kind, sections)
+            other = load(PATH, kind, [*sections, f"ablations.{ablation}.{stage}"])
             paths |= dict(_differences(asdict(usual), asdict(other)))
         changed[ablation] = paths
     constraints = {
