@@ -29,7 +29,7 @@ _FEWEST = 50
 _LEADING = 4
 """Principal components among which two clusters are looked for."""
 _SHARPNESS = 1.2
-"""Of beliefs: one standard deviation of the scores is believed by tanh(1.2) = .83."""
+"""Of beliefs: a score of typical size is believed by tanh(1.2) = .83."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class EndsConfig:
     """When ends are told apart, and how."""
 
     after: float
-    """Part of full training's iterations before it."""
+    """Part of full training's iterations before it, above 0 and below 1."""
     box_size: float
     """Longer side of the object's box over the side of a cut picture."""
     components: int

@@ -77,7 +77,7 @@ class FullTrainingConfig:
     """None leaves ends as they are recorded."""
     settle: int
     """Iterations in which poses are refined, but not turned to the object's far side at once: textures that mean
-    nothing yet would choose between its ends blindly (docs/decisions.md)."""
+    nothing yet would choose between its ends blindly, and undo what `ends` told (docs/decisions.md)."""
     exploration: ExplorationConfig
     loss: LossConfig
     discriminator_width: int

@@ -16,7 +16,7 @@ from pipeline.seeding import generator
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.curves import Curve
 from pipeline.training.ends import EndsConfig
-from pipeline.training.exploration import score
+from pipeline.training.exploration import flipped, score
 from pipeline.training.fine_tune import FineTuneConfig, PhaseConfig, fine_tune
 from pipeline.training.first_poses import read_poses
 from pipeline.training.full import FullTrainer, FullTrainingConfig, train_full
@@ -84,6 +84,22 @@ def test_training_that_dies_after_telling_ends_resumes_to_the_same_bytes(
             train(config, tmp_path / "halves", count)
     halves = state(train(config, tmp_path / "halves", count))
     assert [name for name in whole if not torch.equal(whole[name], halves[name])] == []
+
+
+def test_ends_are_turned_as_told_and_elsewhere_as_read(monkeypatch: pytest.MonkeyPatch) -> None:
+    (images, _), extractor = photographs(12), tiny_extractor()
+    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
+    before, told = trainer.record.pose.clone(), torch.tensor([1.0, -1, 1, -1, 1, 1, -0.1, 1])
+    trainer.visits += 1
+    trainer.visits[7] = 0
+    read_as_recorded = torch.tensor([True] * 7 + [False, True, False, True, False])
+    read = torch.where(read_as_recorded[:, None], before, flipped(before, 1)[0])
+    monkeypatch.setattr("pipeline.training.full.tell_ends", lambda images, *_: told[: len(images)])
+    monkeypatch.setattr("pipeline.training.full.read_poses", lambda *_: read)
+    trainer.turn_round(EndsConfig(0.5, 0.85, 8, 0.3, 60.0, 85.0, 3, 4.0, 2, 8))
+    turned = (trainer.record.pose[:, :2] * before[:, :2]).sum(dim=1) < 0
+    assert turned.nonzero().flatten().tolist() == [1, 3, 6, 7, 9, 11]
+    torch.testing.assert_close(trainer.record.pose[:, 2:], before[:, 2:])
 
 
 @pytest.mark.parametrize(("iterations", "rows"), [(1, [1]), (3, [2, 3])])
