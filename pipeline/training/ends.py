@@ -22,8 +22,8 @@ from torch.nn import functional
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.pose_coordinates import PoseCoordinates
 from pipeline.training.azimuths import AZIMUTHS, judge, paintless_features
+from pipeline.training.first_poses import cut_to_box
 
-_CHUNK = 250
 _FEWEST = 50
 """Photographs of sides below which no clusters can be told."""
 _LEADING = 4
@@ -72,7 +72,7 @@ def tell_ends(
     0 everywhere where too few photographs show sides. Which of the two clusters faces left is not known: the
     coordinates of the majority are taken to be right.
     """
-    images = cut_upright(photographs, poses, coordinates, config.box_size)
+    images = cut_to_box(photographs / 255, poses, coordinates, config.box_size, poses.roll(coordinates))
     here, mirrored = paintless_features(images, extractor, config.components, config.repainting_floor, rng)
     to_the_right = coordinates[:, 1:2] < 0
     odd = torch.where(to_the_right, mirrored - here, here - mirrored)
@@ -129,22 +129,6 @@ def opposite_bins(azimuth: Float[Tensor, " N"]) -> tuple[Float[Tensor, "N azimut
     index = (azimuth * (AZIMUTHS / (2 * math.pi))).round().long() % AZIMUTHS
     seen = functional.one_hot(index, AZIMUTHS).to(azimuth.dtype)
     return seen, seen.roll(AZIMUTHS // 2, dims=1)
-
-
-def cut_upright(
-    photographs: UInt8[Tensor, "N 3 H W"], poses: PoseCoordinates, coordinates: Float[Tensor, "N 7"], box_size: float
-) -> Float[Tensor, "N 3 H W"]:
-    """Cut photographs so that each object's box stands upright in the middle; outside is the picture's reflection."""
-    center, extent = poses.box(coordinates)
-    roll = poses.roll(coordinates)
-    turn = torch.stack([roll.cos(), roll.sin(), -roll.sin(), roll.cos()], 1).view(-1, 2, 2)
-    shift = center * center.new_tensor([1.0, -1.0])  # ndc is y up, grids are y down
-    transform = torch.cat([(extent / box_size)[:, None, None] * turn, shift[:, :, None]], 2)
-    cuts = []
-    for images, of_images in zip(photographs.split(_CHUNK), transform.split(_CHUNK), strict=True):
-        grid = functional.affine_grid(of_images, list(images.shape), align_corners=False)
-        cuts.append(functional.grid_sample(images / 255, grid, padding_mode="reflection", align_corners=False))
-    return torch.cat(cuts)
 
 
 def _two_clusters(values: Float[Tensor, "N C"]) -> Float[Tensor, " N"]:

@@ -69,7 +69,9 @@ def first_poses(
     the chosen generator's renderings that vote for the azimuth.
     """
     estimated = read_poses(model, photographs)
-    cuts = cut_to_box(photographs.float() / 255, model.poses, estimated, config.box_size)
+    cuts = cut_to_box(
+        photographs.float() / 255, model.poses, estimated, config.box_size, torch.zeros_like(estimated[:, 0])
+    )
     poses = _rendered_poses(model, config, rng)
     kernel = _kernel(poses, config.concentration)
     rendered = [_cut_renderings(model, scenes, one, poses, config, light, rng) for one in scenes.generators]
@@ -93,14 +95,20 @@ def read_poses(model: FullModel, photographs: Images, first: int = 0) -> Float[T
 
 
 def cut_to_box(
-    images: Float[Tensor, "N 3 H W"], poses: PoseCoordinates, coordinates: Float[Tensor, "N 7"], box_size: float
+    images: Float[Tensor, "N 3 H W"],
+    poses: PoseCoordinates,
+    coordinates: Float[Tensor, "N 7"],
+    box_size: float,
+    roll: Float[Tensor, " N"],
 ) -> Float[Tensor, "N 3 H W"]:
     """Cut pictures so that the object's box stands in the middle, its longer side `box_size` of the picture's.
 
-    What lies outside the picture is its reflection.
+    Pictures are turned back by a roll, in radians, about the middle of the box. What lies outside the picture is its
+    reflection.
     """
     center, extent = poses.box(coordinates)
-    zoom = (extent / box_size)[:, None, None] * torch.eye(2, device=images.device)
+    turn = torch.stack([roll.cos(), roll.sin(), -roll.sin(), roll.cos()], 1).view(-1, 2, 2)
+    zoom = (extent / box_size)[:, None, None] * turn
     shift = center * center.new_tensor([1.0, -1.0])  # ndc is y up, grids are y down
     grid = functional.affine_grid(torch.cat([zoom, shift[:, :, None]], 2), list(images.shape), align_corners=False)
     return functional.grid_sample(images, grid, padding_mode="reflection", align_corners=False)
@@ -138,7 +146,7 @@ def _cut_renderings(
         batches.append(render(mesh, scene.texture_maps, placed, scene.backgrounds, lights, renderer).images)
     error = config.box_jitter * torch.randn(len(poses), 3, generator=rng, device=rng.device)
     boxes = torch.cat([poses[:, :4], poses[:, 4:] + error], 1)
-    return cut_to_box(torch.cat(batches), model.poses, boxes, config.box_size)
+    return cut_to_box(torch.cat(batches), model.poses, boxes, config.box_size, torch.zeros_like(boxes[:, 0]))
 
 
 def _distances(

@@ -40,7 +40,7 @@ def test_objects_are_cut_to_the_middle_at_one_size() -> None:
     model = tiny_model()
     _, coordinates = photographs(8)
     coordinates[:, 6] = -1.0
-    cuts = cut_to_box(photographs_of(coordinates).float() / 255, model.poses, coordinates, 0.9)
+    cuts = cut_to_box(photographs_of(coordinates).float() / 255, model.poses, coordinates, 0.9, torch.zeros(8))
     for covered in (cuts - 0.8).abs().amax(dim=1) > 0.1:
         rows, columns = covered.any(dim=1).nonzero()[:, 0], covered.any(dim=0).nonzero()[:, 0]
         height, width = rows.max() - rows.min() + 1, columns.max() - columns.min() + 1

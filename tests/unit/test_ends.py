@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from pipeline.seeding import generator
-from pipeline.training.ends import EndsConfig, cut_upright, facing, tell_ends
+from pipeline.training.ends import EndsConfig, facing, tell_ends
 from pipeline.training.exploration import flipped
+from pipeline.training.first_poses import cut_to_box
 from tests.tiny_full_model import MODEL, photographs_of, tiny_extractor, tiny_model
 
 CONFIG = EndsConfig(
@@ -85,7 +86,8 @@ def test_objects_are_cut_upright() -> None:
     torch.testing.assert_close(rolls, torch.tensor([math.radians(30)]))
 
     def proportion(coordinates: Tensor) -> float:
-        pictures = cut_upright(photographs_of(coordinates, pose_range), model.poses, coordinates, 0.6)
+        images = photographs_of(coordinates, pose_range) / 255
+        pictures = cut_to_box(images, model.poses, coordinates, 0.6, model.poses.roll(coordinates))
         covered = (pictures[0] - 0.8).abs().amax(dim=0) > 0.1
         return (covered.any(dim=1).sum() / covered.any(dim=0).sum()).item()
 
