@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from pipeline.rendering.compiled import njit, prange
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 @no_type_check
 def interpolate(
     attributes: Float[np.ndarray, "B V C"],
@@ -36,7 +36,7 @@ def interpolate(
     return values
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 @no_type_check
 def interpolate_backward(
     attributes: Float[np.ndarray, "B V C"],

@@ -9,19 +9,20 @@ from pipeline.geometry.camera import NEAREST_DEPTH
 from pipeline.rendering.compiled import njit, prange
 
 
-@njit(cache=True)
+@njit()
 @no_type_check
 def pixel_points(vertices_ndc: Float[np.ndarray, "V 3"], size: int) -> Float[np.ndarray, "V 3"]:
     """Return column, row (0 at the first pixel's centre) and inverse depth, which is 0 behind the camera."""
     points = np.zeros(vertices_ndc.shape)
-    for vertex, (x, y, depth) in enumerate(vertices_ndc):
-        points[vertex, 0] = 0.5 * size * (1.0 + x) - 0.5
-        points[vertex, 1] = 0.5 * size * (1.0 - y) - 0.5
+    for vertex in range(len(points)):
+        points[vertex, 0] = 0.5 * size * (1.0 + vertices_ndc[vertex, 0]) - 0.5
+        points[vertex, 1] = 0.5 * size * (1.0 - vertices_ndc[vertex, 1]) - 0.5
+        depth = vertices_ndc[vertex, 2]
         points[vertex, 2] = 1.0 / depth if depth >= NEAREST_DEPTH else 0.0
     return points
 
 
-@njit(cache=True)
+@njit()
 @no_type_check
 def draw_face(
     face: int,
@@ -54,7 +55,7 @@ def draw_face(
                     face_index[row, column] = face
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 @no_type_check
 def nearest_faces(
     vertices_ndc: Float[np.ndarray, "B V 3"], faces: Int[np.ndarray, "F 3"], size: int
@@ -71,7 +72,7 @@ def nearest_faces(
     return face_index
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 @no_type_check
 def barycentric_coordinates(
     vertices_ndc: Float[np.ndarray, "B V 3"], faces: Int[np.ndarray, "F 3"], face_index: Int[np.ndarray, "B H W"]
@@ -97,7 +98,7 @@ def barycentric_coordinates(
     return barycentric
 
 
-@njit(cache=True)
+@njit()
 @no_type_check
 def add_vertex_gradient(
     corners: Int[np.ndarray, "3"],
@@ -127,7 +128,7 @@ def add_vertex_gradient(
     vertex_gradient[c, 1] += slope0 * x1 - slope1 * x0
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 @no_type_check
 def barycentric_backward(
     vertices_ndc: Float[np.ndarray, "B V 3"],

@@ -1,6 +1,6 @@
 """Compiled texture look-up for the CPU, parallel over pictures; importing this module imports numba."""
 
-from math import atan2, floor, pi, sqrt
+from math import floor, pi, sqrt
 from typing import no_type_check
 
 import numpy as np
@@ -9,19 +9,42 @@ from jaxtyping import Float
 from pipeline.rendering.compiled import njit, prange
 
 
-@njit(cache=True)
+@njit()
+@no_type_check
+def arctangent(y: float, x: float) -> float:
+    """Return atan2(y, x) to 2e-8, several times as fast (Abramowitz & Stegun 4.4.49); 0 at the origin."""
+    near, far = min(abs(x), abs(y)), max(abs(x), abs(y))
+    slope = near / max(far, 1e-300)
+    square = slope * slope
+    angle = 0.0028662257
+    angle = angle * square - 0.0161657367
+    angle = angle * square + 0.0429096138
+    angle = angle * square - 0.0752896400
+    angle = angle * square + 0.1065626393
+    angle = angle * square - 0.1420889944
+    angle = angle * square + 0.1999355085
+    angle = angle * square - 0.3333314528
+    angle = slope + slope * square * angle
+    angle = 0.5 * pi - angle if abs(y) > abs(x) else angle
+    angle = pi - angle if x < 0.0 else angle
+    return -angle if y < 0.0 else angle
+
+
+@njit()
 @no_type_check
 def texels(x: float, y: float, z: float, size: int) -> tuple[int, int, int, int, float, float]:
     """Return the two rows, the two columns and the fractions between them that a direction falls on."""
-    u = 0.5 + atan2(x, z) / (2.0 * pi)
-    v = 0.5 - atan2(y, sqrt(x * x + z * z)) / pi
+    u = 0.5 + arctangent(x, z) / (2.0 * pi)
+    v = 0.5 - arctangent(y, sqrt(x * x + z * z)) / pi
     column = u * size - 0.5
     row = min(max(v * size - 0.5, 0.0), size - 1.0)
-    left, top = floor(column), min(int(row), size - 2)
-    return top, top + 1, left % size, (left + 1) % size, row - top, column - left
+    first, top = floor(column), min(int(row), size - 2)
+    left = first + size if first < 0 else first
+    right = 0 if left + 1 == size else left + 1
+    return top, top + 1, left, right, row - top, column - first
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 @no_type_check
 def sample(
     texture_maps: Float[np.ndarray, "B 3 T T"], directions: Float[np.ndarray, "B H W 3"]
@@ -43,7 +66,7 @@ def sample(
     return colors
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 @no_type_check
 def sample_backward(
     texture_maps: Float[np.ndarray, "B 3 T T"],

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from pipeline.geometry.camera import project
+from pipeline.rendering.antialias import antialias
 from pipeline.rendering.interpolate import interpolate
 from pipeline.rendering.lighting import Light, shade, vertex_normals
-from pipeline.rendering.ragged import expand
 from pipeline.rendering.rasterize import Fragments, rasterize
 from pipeline.rendering.texture import sample_sphere_texture
 from tests import rendering_in_torch
@@ -112,6 +112,27 @@ def test_texture_lookups_agree(scene: Scene) -> None:
     torch.testing.assert_close(compiled, in_torch, atol=1e-5, rtol=1e-4)
 
 
+@pytest.mark.parametrize("size", [16, 64])
+@pytest.mark.parametrize("roughness", [0.0, 0.1])
+def test_antialiasings_agree(scene: Scene, size: int, roughness: float) -> None:
+    rng = torch.Generator().manual_seed(size)
+    faces = scene.mesh.faces
+    vertices = scene.mesh.vertices + roughness * torch.randn(scene.mesh.vertices.shape, generator=rng)
+    vertices_ndc = project(vertices, scene.pose, CONFIG.camera)
+    vertices_ndc[0, 7, 2] = -1  # behind the camera
+    fragments = rasterize(vertices_ndc, faces, size)
+    colors = torch.rand(3, 4, size, size, generator=rng) * (fragments.face_index >= 0)[:, None]
+
+    def apply(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
+        return lambda colors, vertices: function(colors, fragments, vertices, faces)
+
+    compiled = gradients(apply(antialias), colors, vertices_ndc)
+    in_torch = gradients(apply(rendering_in_torch.antialias), colors.double(), vertices_ndc.double())
+    assert (compiled[0] - colors).abs().max() > 0.1
+    torch.testing.assert_close(compiled[:2], in_torch[:2], atol=1e-5, rtol=0)
+    torch.testing.assert_close(compiled[2], in_torch[2], atol=1e-4 * float(in_torch[2].abs().max()), rtol=0)
+
+
 def test_texture_axes() -> None:
     texture = torch.rand(1, 3, 8, 8)
     quarter = torch.pi / 8  # from a texel's border to its centre, columns being pi / 4 wide
@@ -150,12 +171,6 @@ def test_light_from_above_shades_a_sphere() -> None:
     shading = shade(mesh.directions[None], mesh.faces, light)[0]
     expected = 0.25 + 0.5 * mesh.directions[:, 1].clamp(min=0)
     torch.testing.assert_close(shading, expected, atol=0.02, rtol=0)
-
-
-def test_expand_numbers_the_members_of_lists() -> None:
-    owner, position = expand(torch.tensor([2, 0, 3]))
-    assert owner.tolist() == [0, 0, 2, 2, 2]
-    assert position.tolist() == [0, 1, 0, 1, 2]
 
 
 @pytest.mark.parametrize("compiler", ["numba", "triton"])
