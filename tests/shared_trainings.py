@@ -127,6 +127,7 @@ def _full_trainer() -> FullTrainer:
 
 def _weights(name: str, module: nn.Module) -> dict[str, Tensor]:
     """Return parameters, buffers and the gradients of the last step."""
-    gradients = {f"gradient {entry}": value.grad for entry, value in module.named_parameters()}
-    tensors = {**module.state_dict(), **{entry: value for entry, value in gradients.items() if value is not None}}
-    return {f"{name} {entry}": value.clone() for entry, value in tensors.items()}
+    state = {f"{name} {entry}": value for entry, value in module.state_dict().items()}
+    gradients = {f"gradient of {name} {entry}": value.grad for entry, value in module.named_parameters()}
+    state |= {entry: value for entry, value in gradients.items() if value is not None}
+    return {entry: value.clone() for entry, value in state.items()}
