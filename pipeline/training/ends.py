@@ -2,23 +2,29 @@
 
 By then the records hold axes and boxes, but which end of its axis a photograph shows is nearly chance: renderings tell
 builds apart, not ends (a van's ends are both steep, a saloon's both low). What changes sign in the mirror knows nothing
-of build and paint. Cars seen from the side face left or right, so there it has two clusters, one the mirror image of
-the other. From the sides a regression spreads what it has learned to ever more oblique views, and what it says there
-of the photographs it was not fitted to replaces what was believed. What all photographs show, those along the axis too,
-is judged by a last regression, of the azimuths that follow, on all features: among photographs whose ends were told by
-which way they face, builds are the same at both.
+of build and paint, and what it says of the way objects face depends on how they were photographed:
 
-Both ends have to be photographed about equally often: at every slant the regression calls half of them either.
+- Both ends equally often. Cars seen from the side face left or right, so there it has two clusters, one the mirror
+  image of the other. From the sides a regression spreads what it has learned to ever more oblique views, and what it
+  says there of the photographs it was not fitted to replaces what was believed.
+- Mostly one end, as people show the fronts of cars. Then the ends that records tell at oblique views are builds, and
+  to take all of them for the preferred end is right more often. The end nearer to the camera is the one an object faces
+  with, so oblique views tell a regression which way they face, and it tells which way sides do.
+
+What all photographs show, those along the axis too, is judged by a last regression, of the azimuths that follow, on all
+features: among photographs whose ends were told by which way they face, builds are the same at both.
 """
 
 import math
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional
 
+from pipeline.errors import ConfigError
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.pose_coordinates import PoseCoordinates
 from pipeline.training.azimuths import AZIMUTHS, judge, paintless_features
@@ -36,6 +42,8 @@ _SHARPNESS = 1.2
 class EndsConfig:
     """When ends are told apart, and how."""
 
+    shown: Literal["equally", "mostly_one"]
+    """How often photographs show one end and the other."""
     after: float
     """Part of full training's iterations before it, above 0 and below 1."""
     box_size: float
@@ -47,7 +55,7 @@ class EndsConfig:
     side_reach: float
     """Slant up to which an object counts as seen from the side, in degrees."""
     reach: float
-    """Slant up to which ends are told, in degrees; 90 looks along the axis."""
+    """Slant, in degrees, up to which ends shown equally often are told before the last regression; 90 is the axis."""
     rounds: int
     """In which the regression spreads from the sides to `reach`."""
     ridge: float
@@ -56,6 +64,14 @@ class EndsConfig:
     """Parts of the photographs that are judged in turn by regressions fitted to the others."""
     photographs: int
     """How many are compared with each other, from the first on."""
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError for a time outside of training and for too few rounds or folds."""
+        if not 0 < self.after < 1 or self.rounds < 2 or self.folds < 2:
+            raise ConfigError(
+                f"ends are told after {self.after} of training, in {self.rounds} rounds and {self.folds} folds; "
+                "expected a part between 0 and 1, and at least 2 of either"
+            )
 
 
 @torch.no_grad()
@@ -69,23 +85,26 @@ def tell_ends(
 ) -> Float[Tensor, " N"]:
     """Return whether photographs show the ends that their pose coordinates say: positive if so, else negative.
 
-    0 everywhere where too few photographs show sides. Which of the two clusters faces left is not known: the
-    coordinates of the majority are taken to be right.
+    0 everywhere where too few photographs show sides. Where both ends are shown equally often it is not known which of
+    the two clusters faces left: the coordinates of the majority are taken to be right.
     """
     images = cut_to_box(photographs / 255, poses, coordinates, config.box_size, poses.roll(coordinates))
     here, mirrored = paintless_features(images, extractor, config.components, config.repainting_floor, rng)
     to_the_right = coordinates[:, 1:2] < 0
     odd = torch.where(to_the_right, mirrored - here, here - mirrored)
-    roll = torch.where(to_the_right, -1, 1) * poses.roll(coordinates)[:, None]
     slant = -functional.normalize(coordinates[:, :2], dim=1)[:, 0].asin()
-    belief = facing(odd, slant, torch.cat([slant[:, None] * coordinates[:, 2:3], roll], 1), config, rng)
-    if not belief.any():
-        return belief
+    if (slant.abs() <= math.radians(config.side_reach)).sum() < _FEWEST:
+        return torch.zeros_like(slant)
+    if config.shown == "equally":
+        roll = torch.where(to_the_right, -1, 1) * poses.roll(coordinates)[:, None]
+        belief = facing(odd, slant, torch.cat([slant[:, None] * coordinates[:, 2:3], roll], 1), config, rng)
+    else:
+        belief = facing_with_preferred_end(odd, slant, config)
     seen, opposite = opposite_bins(torch.atan2(coordinates[:, 1], coordinates[:, 0]))
     probabilities = ((1 + belief) * seen.T + (1 - belief) * opposite.T).T / 2
     scores = judge(torch.stack([here, mirrored]), probabilities, config.ridge, config.folds, rng)
     lead = (scores * (seen - opposite)).sum(dim=1)
-    return lead if lead.sign().sum() >= 0 else -lead
+    return -lead if config.shown == "equally" and lead.sign().sum() < 0 else lead
 
 
 def facing(
@@ -101,11 +120,8 @@ def facing(
     of a picture. They are taken off first, at the sides and then in every round, or the split would follow them.
     """
     known = torch.cat([torch.stack([slant, slant**3, slant**5], 1), others], 1)
-    odd = odd / odd.std()
     first, last = math.radians(config.side_reach), math.radians(config.reach)
     belief, seen = torch.zeros_like(slant), slant.abs() <= first
-    if seen.sum() < _FEWEST:
-        return belief
     belief[seen] = (_SHARPNESS * _two_clusters(odd[seen] - known[seen] @ _fit(known[seen], odd[seen]))).tanh()
     powers = torch.stack([(slant / last) ** power for power in (0, 2, 4)], 1)
     fold = torch.randperm(len(slant), generator=rng, device=rng.device) % config.folds
@@ -122,6 +138,22 @@ def facing(
             scores[judged] = of_judged @ weights / (design @ weights).abs().mean()
         belief, seen = torch.where(within, (_SHARPNESS * scores).tanh(), 0), within
     return belief
+
+
+def facing_with_preferred_end(
+    odd: Float[Tensor, "N C"], slant: Float[Tensor, " N"], config: EndsConfig
+) -> Float[Tensor, " N"]:
+    """Return whether objects face as recorded, 1 or -1, if all oblique views show the end that most are recorded with.
+
+    `odd` is as in `facing`, the slant positive where the recorded rear is nearer. Sides face as the oblique views
+    nearest to them, up to twice the slant of sides, let one expect.
+    """
+    reach = math.radians(config.side_reach)
+    side = slant.abs() <= reach
+    belief = slant.sign() * slant[~side].sign().sum().sign()
+    near = ~side & (slant.abs() <= 2 * reach)
+    weights = _fit(odd[near], belief[near, None], config.ridge)[:, 0]
+    return torch.where(side, (odd @ weights).sign(), belief)
 
 
 def opposite_bins(azimuth: Float[Tensor, " N"]) -> tuple[Float[Tensor, "N azimuths"], Float[Tensor, "N azimuths"]]:

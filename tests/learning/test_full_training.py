@@ -96,7 +96,7 @@ def test_ends_are_turned_as_told_and_elsewhere_as_read(monkeypatch: pytest.Monke
     read = torch.where(read_as_recorded[:, None], before, flipped(before, 1)[0])
     monkeypatch.setattr("pipeline.training.full.tell_ends", lambda images, *_: told[: len(images)])
     monkeypatch.setattr("pipeline.training.full.read_poses", lambda *_: read)
-    trainer.turn_round(EndsConfig(0.5, 0.85, 8, 0.3, 60.0, 85.0, 3, 4.0, 2, 8))
+    trainer.turn_round(EndsConfig("equally", 0.5, 0.85, 8, 0.3, 60.0, 85.0, 3, 4.0, 2, 8))
     turned = (trainer.record.pose[:, :2] * before[:, :2]).sum(dim=1) < 0
     assert turned.nonzero().flatten().tolist() == [1, 3, 6, 7, 9, 11]
     torch.testing.assert_close(trainer.record.pose[:, 2:], before[:, 2:])

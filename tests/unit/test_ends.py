@@ -14,6 +14,7 @@ from pipeline.training.first_poses import cut_to_box
 from tests.tiny_full_model import MODEL, photographs_of, tiny_extractor, tiny_model
 
 CONFIG = EndsConfig(
+    shown="equally",
     after=0.5,
     box_size=0.85,
     components=32,
