@@ -65,7 +65,7 @@ def test_interrupted_training_ends_with_the_same_bytes(config: FullTrainingConfi
 def test_training_that_dies_after_telling_ends_resumes_to_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ends = EndsConfig(0.5, 0.85, 8, 0.3, 60.0, 85.0, 3, 4.0, 2, 1000)
+    ends = EndsConfig("equally", 0.5, 0.85, 8, 0.3, 60.0, 85.0, 3, 4.0, 2, 1000)
     config = replace(TRAINING, first_poses=None, ends=ends, photographs_per_iteration=40.0)
     count, step = 80, FullTrainer.step
     whole = state(train(config, tmp_path / "whole", count))

@@ -7,8 +7,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from pipeline.errors import ConfigError
 from pipeline.seeding import generator
-from pipeline.training.ends import EndsConfig, facing, tell_ends
+from pipeline.training.ends import EndsConfig, facing, facing_with_preferred_end, tell_ends
 from pipeline.training.exploration import flipped
 from pipeline.training.first_poses import cut_to_box
 from tests.tiny_full_model import MODEL, photographs_of, tiny_extractor, tiny_model
@@ -33,10 +34,10 @@ def slants(count: int) -> Tensor:
     return math.pi * (torch.rand(count, generator=generator(0)) - 0.5)
 
 
-def odd_features(facing_left: Tensor, slant: Tensor, roll: Tensor) -> Tensor:
-    """Encode facing, by parts that turn with the slant, less strongly than the slant itself and the roll."""
+def odd_features(facing_left: Tensor, slant: Tensor, roll: Tensor, strength: float = 6) -> Tensor:
+    """Encode facing, by parts that turn with the slant, and the slant itself and the roll, usually more strongly."""
     mixing = torch.randn(5, 12, generator=generator(1))
-    shown = torch.stack([facing_left * slant.cos(), facing_left * slant.sin().square(), 6 * slant, 5 * roll], 1)
+    shown = torch.stack([facing_left * slant.cos(), facing_left * slant.sin().square(), strength * slant, 5 * roll], 1)
     other = torch.randn(len(slant), 1, generator=generator(2))
     return torch.cat([shown, other], 1) @ mixing + 0.1 * torch.randn(len(slant), 12, generator=generator(3))
 
@@ -60,10 +61,22 @@ def test_facing_is_told_whatever_slant_and_roll() -> None:
     assert share_right(unaware_of_roll, truth) < 0.8
 
 
-def test_nothing_is_told_where_few_sides_are_seen() -> None:
-    slant = slants(60)
-    belief = facing(odd_features(torch.ones(60), slant, slant), slant, slant[:, None], CONFIG, generator(6))
-    assert not belief.any()
+@pytest.mark.parametrize("preferred", [1, -1])
+def test_sides_face_as_oblique_views_of_the_preferred_end_do(preferred: int) -> None:
+    nearer_left, rng = slants(COUNT), generator(4)  # the left end is nearer at positive slants
+    shows_preferred = torch.rand(COUNT, generator=rng) < 0.9
+    truth = nearer_left.sign() * torch.where(shows_preferred, 1, -1)
+    side = nearer_left.abs() <= math.radians(CONFIG.side_reach)
+    truth[side] = torch.randint(2, (int(side.sum()),), generator=rng) * 2.0 - 1
+    # All sides are recorded the wrong way round, two thirds of the other views with the preferred end.
+    recorded = torch.where(torch.rand(COUNT, generator=rng) < 0.67, 1, -1) * nearer_left.sign() * preferred
+    recorded[side] = -truth[side] * preferred
+    odd = odd_features(truth, nearer_left, torch.zeros(COUNT), strength=0.5)
+    slant = -recorded * nearer_left
+    belief = facing_with_preferred_end(recorded[:, None] * odd, slant, replace(CONFIG, shown="mostly_one"))
+    told = belief * recorded * preferred
+    assert (told == truth)[side].float().mean() > 0.9
+    assert torch.equal(told[~side], nearer_left[~side].sign())
 
 
 def test_photographs_tell_which_recorded_ends_are_wrong() -> None:
@@ -75,6 +88,27 @@ def test_photographs_tell_which_recorded_ends_are_wrong() -> None:
     belief = tell_ends(images, recorded, model.poses, extractor, CONFIG, generator(8))
     assert ((belief < 0) == wrong).float().mean() > 0.95
     assert not tell_ends(images[:60], recorded[:60], model.poses, extractor, CONFIG, generator(8)).any()
+
+
+def test_photographs_that_mostly_show_one_end_tell_which_records_are_wrong() -> None:
+    model, rng = tiny_model(), generator(2)
+    truth = model.poses.draw(COUNT, rng)
+    rears = (truth[:, 0] < 0) & (torch.rand(COUNT, generator=rng) < 0.8)
+    truth[rears, :1] *= -1
+    # Sides and views near them are recorded the wrong way round, the others mostly right.
+    wrong = (truth[:, 0].abs() < 0.5) ^ (torch.rand(COUNT, generator=rng) < 0.1)
+    recorded = torch.where(wrong[:, None], flipped(truth, 1)[0], truth)
+    images, extractor = photographs_of(truth), tiny_extractor()
+    config = replace(CONFIG, shown="mostly_one")
+    belief = tell_ends(images, recorded, model.poses, extractor, config, generator(8))
+    assert wrong.float().mean() > 0.3
+    assert ((belief < 0) == wrong).float().mean() > 0.9
+
+
+@pytest.mark.parametrize("change", [{"after": 0.0}, {"after": 1.0}, {"folds": 1}, {"rounds": 1}])
+def test_settings_out_of_range_are_refused(change: dict[str, float]) -> None:
+    with pytest.raises(ConfigError, match="expected a part between 0 and 1"):
+        replace(CONFIG, **change)
 
 
 def test_objects_are_cut_upright() -> None:
