@@ -13,6 +13,8 @@ from pipeline.files import save_tensors
 from pipeline.networks.scene_generator import scene_tensors
 from pipeline.training.base_shape import SeedTrainer, build_sphere, learn_base_shape
 from pipeline.training.checkpoint import Checkpoint
+from pipeline.training.ends import EndsConfig
+from pipeline.training.exploration import Record
 from pipeline.training.features import FeatureTrainer
 from pipeline.training.first_poses import first_poses
 from pipeline.training.full import FullTrainer, train_full
@@ -28,7 +30,7 @@ SEEDS = replace(test_base_shape.CONFIG, seeds=3, iterations=2)
 
 def take_steps(folder: Path) -> None:
     """Take steps of each training and write what every process holds then; learn seeds; train the full model."""
-    state = {**_features(), **_base_shape(), **_warm_up(), **_first_poses(), **_lessons(), **_full()}
+    state = {**_features(), **_base_shape(), **_warm_up(), **_first_poses(), **_lessons(), **_ends(), **_full()}
     save_tensors(folder / f"{world().rank}.safetensors", state, {})
     learn_seeds(folder)
     train(folder, None)
@@ -99,6 +101,15 @@ def _lessons() -> dict[str, Tensor]:
     index, config = torch.arange(len(poses)), replace(TRAINING.lessons, iterations=1)
     learn_poses(trainer.model, images, index, poses, config, trainer.rng)
     return _weights("lessons", trainer.model)
+
+
+def _ends() -> dict[str, Tensor]:
+    images, poses = photographs(80)
+    config, extractor = replace(TRAINING, lessons=replace(TRAINING.lessons, iterations=1)), tiny_extractor()
+    trainer = FullTrainer(config, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
+    trainer.record, trainer.visits = Record(poses, trainer.record.shape), trainer.visits + 1
+    trainer.turn_round(EndsConfig("equally", 0.5, 0.85, 8, 0.3, 75.0, 85.0, 3, 4.0, 2, 60))
+    return {**_weights("ends", trainer.model), "ends record": trainer.record.pose}
 
 
 def _full() -> dict[str, Tensor]:
