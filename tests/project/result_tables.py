@@ -152,8 +152,22 @@ TABLES: dict[str, Table | Confusion] = {
             "fine-tuned distance": "reconstruction.tuned.feature_distance",
         },
     ),
+    "ablations-stanford-car": Table(
+        "",
+        r"stanford-car(-no-.*)?",
+        {
+            "acc_pi/6 predicted": "pose.test.acc_pi6",
+            "fine-tuned": "pose.test_tuned.acc_pi6",
+            "recorded": "pose.train.acc_pi6",
+            "turned by 180°": "pose.test.flipped",
+            "median error, °": "pose.test.median_error_degrees",
+            "feature distance": "reconstruction.predicted.feature_distance",
+            "fine-tuned distance": "reconstruction.tuned.feature_distance",
+        },
+    ),
     "sides-toybox-car": Confusion("toybox-car", "azimuth_tuned"),
     "sides-stanford-car": Confusion("stanford-car", "azimuth_tuned"),
+    "sides-stanford-car-no-ends": Confusion("stanford-car-no-ends", "azimuth_tuned"),
 }
 
 
