@@ -44,6 +44,24 @@ def keep_freed_memory() -> None:
         libc.mallopt(_M_TRIM_THRESHOLD, -1)
 
 
+def resolve_precision(name: Any, device: torch.device) -> torch.dtype:
+    """Turn `float32`, `bfloat16` or `auto` (bfloat16 where the device multiplies it faster) into a type of numbers.
+
+    GPUs since Ampere do, and CPUs with AVX512-BF16 or AMX; others are many times slower with it (docs/decisions.md).
+    Raises ConfigError for any other name.
+    """
+    if name not in ("auto", "float32", "bfloat16"):
+        raise ConfigError(f"precision is {name!r}; expected auto, float32 or bfloat16")
+    low = name == "bfloat16" or (name == "auto" and _multiplies_bfloat16(device))
+    return torch.bfloat16 if low else torch.float32
+
+
+def _multiplies_bfloat16(device: torch.device) -> bool:
+    if device.type == "cuda":
+        return torch.cuda.get_device_capability(device) >= (8, 0)
+    return torch.cpu._is_avx512_bf16_supported() or torch.cpu._is_amx_tile_supported()
+
+
 def resolve_memory(gibibytes: Any) -> int:
     """Turn the parameter `memory` into bytes. Raises ConfigError for anything but a number above zero."""
     if isinstance(gibibytes, bool) or not isinstance(gibibytes, int | float) or gibibytes <= 0:

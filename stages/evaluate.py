@@ -35,7 +35,7 @@ def main() -> None:
     config = load(arguments.params, EvaluateConfig, arguments.sections)
     reconstructions = load_reconstructions(arguments.reconstructions)
     photographs = load_photographs(arguments.test_images, reconstructions.test_index)
-    features = load_feature_extractor(arguments.features, torch.device("cpu"))
+    features = load_feature_extractor(arguments.features, torch.device("cpu"), torch.float32)
     training_photographs = load_images(arguments.train_images)
     figures, table = evaluate_images(photographs, training_photographs, reconstructions, features, config)
     full_model = load_full_model(arguments.model, torch.device("cpu"))

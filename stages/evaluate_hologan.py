@@ -24,7 +24,7 @@ def main() -> None:
     network = load_hologan(arguments.model, device)
     latent = network.sample_latent(multiview.objects, generator(config.seed, "evaluate hologan"))
     views = draw_views(network, latent, multiview.azimuths(), multiview.elevation)
-    extractor = load_feature_extractor(arguments.features, device)
+    extractor = load_feature_extractor(arguments.features, device, torch.float32)
     figures = {"multiview": multiview_figures(views, extractor, multiview, config.batch_size)}
     write_json(arguments.out, figures)
     write_png(arguments.picture, tile(enlarge(views[: multiview.examples], 4), gap=4, shade=1.0))

@@ -6,7 +6,7 @@ from torch import Tensor
 
 from pipeline.config import load, scalar
 from pipeline.datasets.images import load_images, place_images
-from pipeline.device import resolve_device, resolve_memory
+from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.files import save_tensors, write_json
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.full_model import load_full_model
@@ -23,13 +23,14 @@ def main() -> None:
     config = load(arguments.params, FineTuneConfig, arguments.sections)
     device = resolve_device(scalar(arguments.params, "device"))
     memory = resolve_memory(scalar(arguments.params, "memory"))
+    precision = resolve_precision(scalar(arguments.params, "precision"), device)
     inputs = [arguments.images, arguments.features, arguments.model]
-    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed))
+    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed, precision))
     results = fine_tune(
         config,
         place_images([load_images(arguments.images)], device, memory),
         load_full_model(arguments.model, device),
-        load_feature_extractor(arguments.features, device),
+        load_feature_extractor(arguments.features, device, precision),
         checkpoint,
     )
     save_tensors(arguments.out, results, {})

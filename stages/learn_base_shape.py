@@ -7,7 +7,7 @@ import torch
 
 from pipeline.config import load, scalar
 from pipeline.datasets.images import load_images_of_size, place_images
-from pipeline.device import resolve_device, resolve_memory
+from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.distributed import is_first
 from pipeline.files import save_tensors, write_json
 from pipeline.launch import share_work
@@ -30,12 +30,13 @@ def learn(arguments: Namespace, device: torch.device) -> None:
     """Learn every seed's shape, then write all of them with their generators."""
     config = load(arguments.params, BaseShapeConfig, arguments.sections)
     memory = resolve_memory(scalar(arguments.params, "memory"))
-    key = restart_key(config, [arguments.images, arguments.features], arguments.seed)
+    precision = resolve_precision(scalar(arguments.params, "precision"), device)
+    key = restart_key(config, [arguments.images, arguments.features], arguments.seed, precision)
     shapes = learn_base_shape(
         config,
         place_images([load_images_of_size(arguments.images, config.renderer.size)], device, memory),
         memory,
-        load_feature_extractor(arguments.features, device),
+        load_feature_extractor(arguments.features, device, precision),
         arguments.seed,
         arguments.checkpoints,
         key,

@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 
 from pipeline.config import load, scalar
-from pipeline.device import resolve_device, resolve_memory
+from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.distributed import is_first
 from pipeline.files import write_json
 from pipeline.launch import share_work
@@ -37,6 +37,7 @@ def train(arguments: Namespace, device: torch.device) -> None:
     """Train on every category of the data set; write the weights, the figures they reach and the curve."""
     config = load(arguments.params, FeaturesConfig, arguments.sections)
     memory = resolve_memory(scalar(arguments.params, "memory"))
+    precision = resolve_precision(scalar(arguments.params, "precision"), device)
     categories = list_categories(arguments.images)
     pictures = load_pictures(arguments.images, categories, device, memory)
     test = load_pictures(arguments.test_images, categories, device, memory)
@@ -49,13 +50,14 @@ def train(arguments: Namespace, device: torch.device) -> None:
             write_json(arguments.metrics, {"maps": given.maps, "parameters": count_parameters(given)})
         return
     inputs = [arguments.images, arguments.test_images, arguments.initial]
-    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed))
-    network, curve = train_features(config, pictures, test, arguments.initial, arguments.seed, checkpoint)
+    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed, precision))
+    seed = arguments.seed
+    network, curve = train_features(config, pictures, test, arguments.initial, precision, seed, checkpoint)
     if not is_first():
         return
     save_feature_extractor(arguments.out, network, config.color_weight, metadata)
     curve.write(arguments.curve)
-    write_json(arguments.metrics, measure(arguments.out, test, config, device))
+    write_json(arguments.metrics, measure(arguments.out, test, config, precision, device))
     checkpoint.clear()
 
 

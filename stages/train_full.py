@@ -7,7 +7,7 @@ import torch
 
 from pipeline.config import load, scalar
 from pipeline.datasets.images import load_images_of_size, place_images
-from pipeline.device import resolve_device, resolve_memory
+from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.distributed import is_first
 from pipeline.files import save_tensors, write_json
 from pipeline.geometry.camera import pose_to_tensor
@@ -32,13 +32,14 @@ def train(arguments: Namespace, device: torch.device) -> None:
     """Train around the base mesh, then write the model, the recorded best poses and shapes, and the curve."""
     config = load(arguments.params, FullTrainingConfig, arguments.sections)
     memory = resolve_memory(scalar(arguments.params, "memory"))
+    precision = resolve_precision(scalar(arguments.params, "precision"), device)
     inputs = [arguments.images, arguments.features, arguments.base_shape, arguments.mesh]
-    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed))
+    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed, precision))
     trainer, curve = train_full(
         config,
         place_images([load_images_of_size(arguments.images, config.model.renderer.size)], device, memory),
         memory,
-        load_feature_extractor(arguments.features, device),
+        load_feature_extractor(arguments.features, device, precision),
         load_base(config, arguments.mesh, device),
         load_scenes(arguments.base_shape, device),
         arguments.seed,

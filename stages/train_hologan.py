@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import torch
+
 from pipeline.config import load, scalar
 from pipeline.datasets.images import load_images
 from pipeline.device import resolve_device
@@ -17,7 +19,8 @@ def main() -> None:
     arguments = parse(__doc__, images=Path, seed=int, checkpoints=Path, out=Path, metrics=Path, curve=Path)
     config = load(arguments.params, HoloGANTrainingConfig, arguments.sections)
     device = resolve_device(scalar(arguments.params, "device"))
-    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, [arguments.images], arguments.seed))
+    key = restart_key(config, [arguments.images], arguments.seed, torch.float32)
+    checkpoint = Checkpoint(arguments.checkpoints, key)
     images = load_images(arguments.images).to(device)
     generator, curve = train_hologan(config, images, arguments.seed, checkpoint)
     save_hologan(arguments.out, generator)

@@ -83,7 +83,7 @@ def base_mesh() -> Mesh:
 def tiny_model(**changes: object) -> FullModel:
     """Build the tiny model, with some entries of its config replaced."""
     with initialised(0):
-        return FullModel(replace(MODEL, **changes), base_mesh())
+        return FullModel(replace(MODEL, **changes), base_mesh(), torch.float32)
 
 
 def tiny_extractor() -> FeatureExtractor:

@@ -11,7 +11,7 @@ from packaging.requirements import Requirement
 
 from pipeline.cli.runs import find_run
 from pipeline.config import scalar
-from pipeline.device import resolve_device
+from pipeline.device import resolve_device, resolve_precision
 from pipeline.errors import UserError
 
 EXTRAS = ("", "pipeline")
@@ -50,13 +50,14 @@ def packages() -> Iterator[Finding]:
 
 
 def device(project: Path) -> Finding:
-    """Say where computations run."""
+    """Say where computations run, and in which precision."""
     try:
         chosen = resolve_device(scalar(project / "params.yaml", "device"))
+        precision = resolve_precision(scalar(project / "params.yaml", "precision"), chosen)
     except UserError as error:
         return Finding(False, "device", str(error))
     name = torch.cuda.get_device_name(chosen) if chosen.type == "cuda" else f"{torch.get_num_threads()} threads"
-    return Finding(True, f"device {chosen} ({name})", "")
+    return Finding(True, f"device {chosen} ({name}), {str(precision).removeprefix('torch.')}", "")
 
 
 def data(project: Path) -> Iterator[Finding]:

@@ -13,9 +13,10 @@ from tqdm import tqdm
 
 from pipeline.cli.photographs import FILES, Task
 from pipeline.cli.runs import Run
-from pipeline.config import load
+from pipeline.config import load, scalar
 from pipeline.datasets.decoding import Fit, decode
 from pipeline.datasets.prepare import PrepareConfig
+from pipeline.device import resolve_precision
 from pipeline.errors import DataError
 from pipeline.export.animation import write_gif, write_mp4
 from pipeline.export.glb import write_glb
@@ -106,7 +107,8 @@ def _inferred(images: UInt8[Tensor, "B 3 H W"], model: FullModel) -> Found:
 
 
 def _fine_tuned(images: UInt8[Tensor, "B 3 H W"], model: FullModel, run: Run, config: FineTuneConfig) -> Found:
-    extractor = load_feature_extractor(run.features, images.device)
+    precision = resolve_precision(scalar(run.params, "precision"), images.device)
+    extractor = load_feature_extractor(run.features, images.device, precision)
     with tempfile.TemporaryDirectory() as folder:
         results = fine_tune(
             replace(config, photographs=None), images, model, extractor, Checkpoint(Path(folder), "reconstruct")

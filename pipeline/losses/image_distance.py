@@ -1,6 +1,7 @@
 """The distance of pictures in feature space (paper, appendix, eq. 1)."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -13,13 +14,38 @@ def feature_distance(first: Features, second: Features) -> Float[Tensor, " B"]:
     """Measure how far pictures are apart, pair by pair: eq. 1 summed over the feature maps.
 
     A map's share is the Euclidean norm over channels of the difference, averaged over positions. Gradients flow to
-    both arguments; where two features are equal the gradient is zero.
+    both arguments; where two features are equal the gradient is zero. Lower precisions are taken as float32.
     """
     shares = [
-        torch.linalg.vector_norm(_positions_last(a) - _positions_last(b), dim=-1).mean(dim=1)
+        _NormOfDifference.apply(_positions_last(a), _positions_last(b)).mean(dim=1)
         for a, b in zip(first, second, strict=True)
     ]
     return torch.stack(shares).sum(dim=0)
+
+
+class _NormOfDifference(torch.autograd.Function):
+    """The norm over the last dimension; PyTorch's own derivative passes over the maps five times as often."""
+
+    @staticmethod
+    def forward(ctx: Any, first: Tensor, second: Tensor) -> Tensor:
+        if torch.promote_types(first.dtype, second.dtype).itemsize < torch.float32.itemsize:
+            first = first.float()
+        difference = second - first
+        norm = torch.linalg.vector_norm(difference, dim=-1)
+        ctx.save_for_backward(difference, norm)
+        ctx.dtypes = first.dtype, second.dtype
+        return norm
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, Tensor | None]:
+        difference, norm = ctx.saved_tensors
+        scale = torch.where(norm > 0, gradients[0] / norm, 0.0)
+        gradient = difference * scale[..., None]
+        of_first, of_second = ctx.needs_input_grad
+        return (
+            -gradient.to(ctx.dtypes[0]) if of_first else None,
+            gradient.to(ctx.dtypes[1]) if of_second else None,
+        )
 
 
 @torch.no_grad()

@@ -56,11 +56,13 @@ class Encoder(nn.Module):
     """Encode photographs as vectors of `code_size` numbers (paper section 3.2).
 
     The wide residual network keeps 32 px in its first group and has three groups; ResNet-18 starts with a strided 7x7
-    convolution and a pooling and has four.
+    convolution and a pooling and has four. `precision`, float32 or bfloat16, is that in which it multiplies; weights
+    and codes have float32.
     """
 
-    def __init__(self, config: EncoderConfig, code_size: int) -> None:
+    def __init__(self, config: EncoderConfig, code_size: int, precision: torch.dtype) -> None:
         super().__init__()
+        self.precision = precision
         deep = config.architecture == "resnet18"
         widths = [config.width * 2**group for group in range(4 if deep else 3)]
         self.stem = nn.Sequential(
@@ -78,8 +80,9 @@ class Encoder(nn.Module):
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B K"]:
         """Return the codes of images in [0, 1]; pooling to 4x4 keeps where things are."""
-        maps = functional.relu(self.normalize(self.groups(self.stem(2 * images - 1))))
-        return self.project(functional.adaptive_avg_pool2d(maps, 4).flatten(1))
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.precision == torch.bfloat16):
+            maps = functional.relu(self.normalize(self.groups(self.stem(2 * images - 1))))
+            return self.project(functional.adaptive_avg_pool2d(maps, 4).flatten(1)).float()
 
     @torch.no_grad()
     def standardize(self, images: Float[Tensor, "B 3 H W"]) -> None:

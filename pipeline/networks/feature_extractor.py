@@ -19,7 +19,7 @@ class FeatureExtractor(nn.Module):
     """Turn pictures into the feature maps in which they are compared (paper, appendix, "Reconstruction loss").
 
     A frozen copy of a trained network in which every batch normalisation is folded into what stands before or after it.
-    Gradients flow to the pictures alone.
+    Gradients flow to the pictures alone. The network's maps have the precision the module was moved `to`.
 
     The pictures themselves, times `color_weight`, come before the network's maps: features learned for recognition
     alone leave colours free to drift (docs/decisions.md). The paper's distance has a weight of 0.
@@ -33,6 +33,11 @@ class FeatureExtractor(nn.Module):
         fold_normalizations(self.network)
         self.requires_grad_(False)
         self.network.to(memory_format=torch.channels_last)  # pyright: ignore[reportCallIssue]
+
+    @property
+    def precision(self) -> torch.dtype:
+        """The type of the network's numbers."""
+        return next(self.network.parameters()).dtype
 
     def forward(self, images: Float[Tensor, "B 3 H W"], count: int | None = None) -> list[Float[Tensor, "B _ _ _"]]:
         """Return the weighted pictures, RGB in [0, 1], and the network's feature maps, from fine to coarse.
@@ -50,12 +55,15 @@ def save_feature_extractor(path: Path, network: Network, color_weight: float, me
     save_tensors(path, tensors, {**metadata, **network.description, "color_weight": str(color_weight)})
 
 
-def load_feature_extractor(path: Path, device: torch.device) -> FeatureExtractor:
-    """Load the frozen feature extractor `save_feature_extractor` wrote. Raises DataError where the file is not one."""
+def load_feature_extractor(path: Path, device: torch.device, precision: torch.dtype) -> FeatureExtractor:
+    """Load the frozen feature extractor `save_feature_extractor` wrote, to compute in float32 or bfloat16.
+
+    Raises DataError where the file is not one.
+    """
     _, metadata = load_tensors(path)
     pretrained = "architecture" in metadata
     network = load_pretrained(path) if pretrained else load_wide_resnet(path, torch.device("cpu"))
-    return FeatureExtractor(network, float(metadata["color_weight"])).to(device)
+    return FeatureExtractor(network, float(metadata["color_weight"])).to(device, precision)
 
 
 @torch.no_grad()

@@ -80,8 +80,11 @@ class FullModel(nn.Module):
     faces: Int[Tensor, "F 3"]
     directions: Float[Tensor, "V 3"]
 
-    def __init__(self, config: FullModelConfig, base: Mesh) -> None:
-        """Build the networks around a base mesh of batch size one: the base shape or the initial ellipsoid."""
+    def __init__(self, config: FullModelConfig, base: Mesh, precision: torch.dtype) -> None:
+        """Build the networks around a base mesh of batch size one: the base shape or the initial ellipsoid.
+
+        `precision` is the encoders'.
+        """
         super().__init__()
         self.config = config
         self.register_buffer("base_vertices", base.vertices[0])
@@ -94,10 +97,10 @@ class FullModel(nn.Module):
             else OffsetShapes(base.vertices[0], shape.offset_reach, shape.mirror)
         )
         self.poses = PoseCoordinates(config.pose_range, config.renderer.camera, config.framing == "box")
-        self.shape_encoder = Encoder(config.encoder, code)
-        self.pose_encoder = Encoder(config.encoder, code)
-        self.texture_encoder = Encoder(config.encoder, config.texture_code_size)
-        self.background_encoder = Encoder(config.encoder, code)
+        self.shape_encoder = Encoder(config.encoder, code, precision)
+        self.pose_encoder = Encoder(config.encoder, code, precision)
+        self.texture_encoder = Encoder(config.encoder, config.texture_code_size, precision)
+        self.background_encoder = Encoder(config.encoder, code, precision)
         self.shape_decoder = ShapeDecoder(code, hidden, self.shapes.parameter_count)
         self.pose_decoder = PoseDecoder(code, hidden, config.pose_heads)
         self.texture_decoder = TextureGenerator(
@@ -148,10 +151,10 @@ def full_model_texts(model: FullModel) -> dict[str, str]:
 
 
 def load_full_model(path: Path, device: torch.device) -> FullModel:
-    """Load a model that `train_full` saved, in evaluation mode."""
+    """Load a model that `train_full` saved, in evaluation mode and in float32."""
     tensors, texts = load_tensors(path)
     config = from_json(texts["config"], FullModelConfig, path)
     base = Mesh(tensors["base_vertices"][None], tensors["faces"], tensors["directions"])
-    model = FullModel(config, base)
+    model = FullModel(config, base, torch.float32)
     model.load_state_dict({name: tensors[name] for name in model.state_dict()})
     return model.to(device).eval()

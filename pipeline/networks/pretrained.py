@@ -120,7 +120,7 @@ class PretrainedNetwork(nn.Module):
 
     def features(self, images: Float[Tensor, "B 3 H W"], count: int) -> list[Float[Tensor, "B _ _ _"]]:
         """Return the first `count` maps; a picture needs 32 pixels a side."""
-        x = (images - self.mean) / self.std
+        x = ((images - self.mean) / self.std).to(self.mean.dtype)
         maps: list[Tensor] = []
         for name, layer in self.layers.named_children():
             if len(maps) == count:

@@ -78,7 +78,7 @@ class WideResNet(nn.Module):
 
     def features(self, images: Float[Tensor, "B 3 H W"], count: int = 3) -> list[Float[Tensor, "B _ _ _"]]:
         """Return the outputs of the first `count` groups, each right before the next sub-sampling."""
-        x = self.stem((images - self.mean) / self.std)
+        x = self.stem(((images - self.mean) / self.std).to(self.mean.dtype))
         outputs = []
         for group in self.groups[:count]:
             x = group(x)

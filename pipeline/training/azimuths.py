@@ -237,7 +237,7 @@ def _flat_features(images: Float[Tensor, "N 3 H W"], extractor: FeatureExtractor
     """Return directions of all feature maps but the first, averaged over a grid: colours and edges are paint."""
     flat = []
     for batch in images.split(250):
-        maps = [functional.normalize(layer, dim=1) for layer in extractor(batch)[2:]]
+        maps = [functional.normalize(layer.float(), dim=1) for layer in extractor(batch)[2:]]
         grids = [functional.adaptive_avg_pool2d(layer, min(_MAP_SIZE, layer.shape[-1])) for layer in maps]
         flat.append(torch.cat([grid.flatten(1) for grid in grids], 1))
     return torch.cat(flat)

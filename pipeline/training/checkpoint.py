@@ -52,13 +52,13 @@ class Checkpoint:
         return (tensors, json.loads(texts["values"])) if texts["key"] == self._key else None
 
 
-def restart_key(config: object, inputs: Sequence[Path], seed: int) -> str:
-    """Hash everything a training's state depends on: its config and seed, the bytes of its inputs, the library's code.
+def restart_key(config: object, inputs: Sequence[Path], seed: int, precision: torch.dtype) -> str:
+    """Hash what a training's state depends on: config, seed, precision, the bytes of its inputs, the library's code.
 
     Inputs are files or directories. The code is every Python file of the `pipeline` package, and PyTorch's version.
     """
     code = [sha256(path) for path in sorted(LIBRARY.rglob("*.py"))]
-    everything = (repr(config), seed, [sha256(path) for path in inputs], code, torch.__version__)
+    everything = (repr(config), seed, str(precision), [sha256(path) for path in inputs], code, torch.__version__)
     return hashlib.sha256(repr(everything).encode()).hexdigest()
 
 

@@ -54,8 +54,6 @@ class FeaturesConfig:
     """Mean distance of two photographs, summed over the feature maps, to which a `pretrained` network is scaled."""
     crop_margin: int
     """The largest random shift, in pixels; the border is reflected."""
-    precision: Literal["float32", "bfloat16"]
-    """Of the convolutions in training. bfloat16 is faster on GPUs and on CPUs with AVX512-BF16 or AMX, else slower."""
     checkpoint_every: int
     """Iterations between two restart states."""
 
@@ -92,10 +90,12 @@ def load_pictures(folder: Path, categories: Sequence[str], device: torch.device,
 class FeatureTrainer:
     """Hold everything that changes while a network is trained."""
 
-    def __init__(self, config: FeaturesConfig, train: Pictures, initial: Path, seed: int) -> None:
+    def __init__(
+        self, config: FeaturesConfig, train: Pictures, initial: Path, precision: torch.dtype, seed: int
+    ) -> None:
         """Build the network, on the pictures' device, and its optimizer; `initial` are the weights for `transfer`."""
         device = train.images.device
-        self.config, self.train, self.seed = config, train, seed
+        self.config, self.train, self.precision, self.seed = config, train, precision, seed
         self.batch_size = min(config.batch_size, len(train.images))
         self.iterations_per_epoch = len(train.images) // self.batch_size
         self.iterations = config.epochs * self.iterations_per_epoch
@@ -128,7 +128,7 @@ class FeatureTrainer:
         rate = self.config.learning_rate * one_cycle(iteration, self.iterations, self.config.warm_up)
         set_learning_rate(rate, self.optimizer)
         images, labels = share(self.batch(iteration))
-        with _precision(images.device, self.config):
+        with _multiplying_in(self.precision, images.device):
             scores = self.network.train(self.config.method != "transfer")(to_float(images))
             loss = functional.cross_entropy(scores, labels, label_smoothing=self.config.label_smoothing)
         self.optimizer.zero_grad(set_to_none=True)
@@ -139,13 +139,21 @@ class FeatureTrainer:
 
 
 def train_features(
-    config: FeaturesConfig, train: Pictures, test: Pictures, initial: Path, seed: int, checkpoint: Checkpoint
+    config: FeaturesConfig,
+    train: Pictures,
+    test: Pictures,
+    initial: Path,
+    precision: torch.dtype,
+    seed: int,
+    checkpoint: Checkpoint,
 ) -> tuple[WideResNet, Curve]:
     """Train a network and return it with one row an epoch: learning rate, mean loss, test accuracy.
 
+    `precision` is that of convolutions and matrix products; weights have float32.
+
     A killed call that is repeated with the same checkpoint returns the same bytes (CPU). Raises TrainingDiverged.
     """
-    trainer, curve, first = FeatureTrainer(config, train, initial, seed), Curve(), 0
+    trainer, curve, first = FeatureTrainer(config, train, initial, precision, seed), Curve(), 0
     if (restored := checkpoint.load()) is not None:
         tensors, values = restored
         unpack(tensors, **trainer.parts())
@@ -161,7 +169,7 @@ def train_features(
                 done,
                 learning_rate=config.learning_rate * one_cycle(iteration, trainer.iterations, config.warm_up),
                 train_loss=trainer.loss_sum.item() / trainer.iterations_per_epoch,
-                test_accuracy=accuracy(trainer.network, test, config),
+                test_accuracy=accuracy(trainer.network, test, config, precision),
             )
             trainer.loss_sum.zero_()
         if done % config.checkpoint_every == 0 or done == trainer.iterations:
@@ -171,7 +179,7 @@ def train_features(
 
 
 @torch.no_grad()
-def accuracy(network: WideResNet, pictures: Pictures, config: FeaturesConfig) -> float:
+def accuracy(network: WideResNet, pictures: Pictures, config: FeaturesConfig, precision: torch.dtype) -> float:
     """Return the fraction of pictures the network tells right; for `rotation`, of all four turns of every picture."""
     network.eval()
     right = 0
@@ -179,7 +187,7 @@ def accuracy(network: WideResNet, pictures: Pictures, config: FeaturesConfig) ->
         for quarters in range(4 if config.method == "rotation" else 1):
             turned = images.rot90(quarters, (2, 3))
             answers = torch.full_like(labels, quarters) if config.method == "rotation" else labels
-            with _precision(images.device, config):
+            with _multiplying_in(precision, images.device):
                 right += int((network(to_float(turned)).argmax(dim=1) == answers).sum())
     return right / trials(pictures, config)
 
@@ -189,10 +197,12 @@ def trials(pictures: Pictures, config: FeaturesConfig) -> int:
     return len(pictures.images) * (4 if config.method == "rotation" else 1)
 
 
-def measure(path: Path, test: Pictures, config: FeaturesConfig, device: torch.device) -> dict[str, float]:
+def measure(
+    path: Path, test: Pictures, config: FeaturesConfig, precision: torch.dtype, device: torch.device
+) -> dict[str, float]:
     """Measure the accuracy of the weights as they are stored."""
     network = load_wide_resnet(path, device)
-    value, n = accuracy(network, test, config), trials(test, config)
+    value, n = accuracy(network, test, config, precision), trials(test, config)
     error = math.sqrt(value * (1 - value) / n)
     return {"accuracy": value, "accuracy_standard_error": error, "n": n, "parameters": count_parameters(network)}
 
@@ -208,8 +218,8 @@ def one_cycle(iteration: int, iterations: int, warm_up: float) -> float:
     return progress / warm_up if progress < warm_up else (1 - progress) / (1 - warm_up)
 
 
-def _precision(device: torch.device, config: FeaturesConfig) -> torch.autocast:
-    return torch.autocast(device.type, torch.bfloat16, enabled=config.precision == "bfloat16")
+def _multiplying_in(precision: torch.dtype, device: torch.device) -> torch.autocast:
+    return torch.autocast(device.type, torch.bfloat16, enabled=precision == torch.bfloat16)
 
 
 def _build_network(config: FeaturesConfig, train: Pictures, initial: Path, seed: int) -> WideResNet:

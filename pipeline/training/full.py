@@ -98,11 +98,11 @@ class FullTrainer:
         base: Mesh,
         seed: int,
     ) -> None:
-        """Build networks, optimiser and random streams from the seed."""
+        """Build networks, as precise as the extractor, optimiser and random streams from the seed."""
         device = photographs.images.device
         self.config, self.photographs, self.extractor = config, photographs, extractor
         with initialised(seed, "full_model"):
-            self.model = FullModel(config.model, base).to(device)
+            self.model = FullModel(config.model, base, extractor.precision).to(device)
         self.model.standardize(photographs.images[: 4 * config.batch_size].float() / 255)
         with initialised(seed, "view_discriminator"):
             self.discriminator = ViewDiscriminator(config.discriminator_width, POSE_COORDINATES).to(device)

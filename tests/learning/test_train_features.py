@@ -39,7 +39,6 @@ CONFIG = FeaturesConfig(
     color_weight=2.0,
     distance=10.0,
     crop_margin=2,
-    precision="float32",
     checkpoint_every=3,
 )
 
@@ -60,10 +59,14 @@ def bars(count: int, seed: int) -> Pictures:
 @pytest.mark.parametrize("method", ["classification", "rotation"])
 def test_a_small_network_learns_the_task(method: str, tmp_path: Path) -> None:
     config = replace(CONFIG, method=method)
-    network, curve = train_features(config, bars(192, 0), bars(64, 1), NO_WEIGHTS, 0, Checkpoint(tmp_path, "key"))
-    assert accuracy(network, bars(64, 1), config) > 0.9
+    network, curve = train_features(
+        config, bars(192, 0), bars(64, 1), NO_WEIGHTS, torch.float32, 0, Checkpoint(tmp_path, "key")
+    )
+    assert accuracy(network, bars(64, 1), config, torch.float32) > 0.9
     assert [row["iteration"] for row in curve.rows] == [12, 24, 36, 48, 60, 72]
-    assert curve.rows[-1]["test_accuracy"] == pytest.approx(accuracy(network, bars(64, 1), config), abs=1e-6)
+    assert curve.rows[-1]["test_accuracy"] == pytest.approx(
+        accuracy(network, bars(64, 1), config, torch.float32), abs=1e-6
+    )
 
 
 def test_rotation_is_asked_of_every_turn() -> None:
@@ -76,7 +79,9 @@ def test_a_killed_training_ends_with_the_same_bytes(tmp_path: Path, monkeypatch:
     train, test = bars(80, 0), bars(16, 1)
 
     def finish(name: str) -> tuple[bytes, list[dict[str, float]]]:
-        network, curve = train_features(config, train, test, NO_WEIGHTS, 0, Checkpoint(tmp_path / name, "key"))
+        network, curve = train_features(
+            config, train, test, NO_WEIGHTS, torch.float32, 0, Checkpoint(tmp_path / name, "key")
+        )
         save_feature_extractor(tmp_path / f"{name}.safetensors", network, 2.0, {})
         return (tmp_path / f"{name}.safetensors").read_bytes(), curve.rows
 
@@ -99,7 +104,7 @@ def test_a_diverged_training_is_an_error_and_keeps_the_state_before(tmp_path: Pa
     checkpoint = Checkpoint(tmp_path, "key")
     config = replace(CONFIG, learning_rate=1e30, checkpoint_every=1)
     with pytest.raises(TrainingDiverged, match="checkpoint before it is kept"):
-        train_features(config, bars(64, 0), bars(16, 1), NO_WEIGHTS, 0, checkpoint)
+        train_features(config, bars(64, 0), bars(16, 1), NO_WEIGHTS, torch.float32, 0, checkpoint)
     restored = checkpoint.load()
     assert restored is not None
     assert torch.isfinite(restored[0]["loss_sum"])
@@ -108,7 +113,7 @@ def test_a_diverged_training_is_an_error_and_keeps_the_state_before(tmp_path: Pa
 def test_one_category_alone_cannot_be_classified(tmp_path: Path) -> None:
     cars = Pictures(bars(16, 0).images, torch.zeros(16, dtype=torch.int64))
     with pytest.raises(ConfigError, match="set it to rotation"):
-        train_features(CONFIG, cars, cars, NO_WEIGHTS, 0, Checkpoint(tmp_path, "key"))
+        train_features(CONFIG, cars, cars, NO_WEIGHTS, torch.float32, 0, Checkpoint(tmp_path, "key"))
 
 
 def test_a_colour_that_is_the_same_everywhere_is_named(tmp_path: Path) -> None:
@@ -117,7 +122,7 @@ def test_a_colour_that_is_the_same_everywhere_is_named(tmp_path: Path) -> None:
     images[:, 1] = 255
     pictures = Pictures(images, labels)
     with pytest.raises(DataError, match="the green of all training pictures"):
-        train_features(CONFIG, pictures, pictures, NO_WEIGHTS, 0, Checkpoint(tmp_path, "key"))
+        train_features(CONFIG, pictures, pictures, NO_WEIGHTS, torch.float32, 0, Checkpoint(tmp_path, "key"))
 
 
 def test_one_cycle_rises_to_its_peak_and_falls_to_zero() -> None:
@@ -137,11 +142,13 @@ def test_pictures_of_a_missing_category_are_a_data_error(tmp_path: Path) -> None
 
 def test_transfer_keeps_the_features_and_learns_the_categories(tmp_path: Path) -> None:
     train, test = bars(192, 0), bars(64, 1)
-    first, _ = train_features(CONFIG, train, test, NO_WEIGHTS, 0, Checkpoint(tmp_path / "first", "key"))
+    first, _ = train_features(CONFIG, train, test, NO_WEIGHTS, torch.float32, 0, Checkpoint(tmp_path / "first", "key"))
     weights = tmp_path / "weights.safetensors"
     save_feature_extractor(weights, first, 2.0, {})
     config = replace(CONFIG, method="transfer")
-    second, curve = train_features(config, train, test, weights, 1, Checkpoint(tmp_path / "second", "key"))
+    second, curve = train_features(
+        config, train, test, weights, torch.float32, 1, Checkpoint(tmp_path / "second", "key")
+    )
     images = test.images[:].float() / 255
     stored = load_wide_resnet(weights, torch.device("cpu"))
     for given, kept in zip(stored.features(images), second.features(images), strict=True):
@@ -155,5 +162,11 @@ def test_weights_of_another_size_cannot_be_transferred(tmp_path: Path) -> None:
     save_feature_extractor(weights, WideResNet(10, 2, 2), 2.0, {})
     with pytest.raises(ConfigError, match="WRN-10-2; set both"):
         train_features(
-            replace(CONFIG, method="transfer"), bars(16, 0), bars(16, 1), weights, 0, Checkpoint(tmp_path, "key")
+            replace(CONFIG, method="transfer"),
+            bars(16, 0),
+            bars(16, 1),
+            weights,
+            torch.float32,
+            0,
+            Checkpoint(tmp_path, "key"),
         )

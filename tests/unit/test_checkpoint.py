@@ -108,16 +108,19 @@ class Settings:
     rate: float
 
 
-def test_the_key_depends_on_config_inputs_and_seed(tmp_path: Path) -> None:
+def test_the_key_depends_on_config_inputs_seed_and_precision(tmp_path: Path) -> None:
+    def key(rate: float, inputs: list[Path], seed: int, precision: torch.dtype) -> str:
+        return restart_key(Settings(rate), inputs, seed, precision)
+
     data = tmp_path / "data"
     data.mkdir()
     (data / "car.npy").write_bytes(b"1")
-    keys = [restart_key(Settings(0.1), [data], 0), restart_key(Settings(0.2), [data], 0)]
-    keys += [restart_key(Settings(0.1), [data], 1), restart_key(Settings(0.1), [], 0)]
+    keys = [key(0.1, [data], 0, torch.float32), key(0.2, [data], 0, torch.float32)]
+    keys += [key(0.1, [data], 1, torch.float32), key(0.1, [], 0, torch.float32), key(0.1, [data], 0, torch.bfloat16)]
     (data / "car.npy").write_bytes(b"2")
-    keys.append(restart_key(Settings(0.1), [data], 0))
-    assert len(set(keys)) == 5
-    assert keys[4] == restart_key(Settings(0.1), [data], 0)
+    keys.append(key(0.1, [data], 0, torch.float32))
+    assert len(set(keys)) == 6
+    assert keys[5] == key(0.1, [data], 0, torch.float32)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])

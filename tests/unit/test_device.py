@@ -7,13 +7,13 @@ import sys
 import pytest
 import torch
 
-from pipeline.device import resolve_device
+from pipeline.device import resolve_device, resolve_precision
 from pipeline.errors import ConfigError
 
 FAULTS = """
 import resource, sys, torch
 if sys.argv[1:]:
-    from pipeline.device import resolve_device
+    from pipeline.device import resolve_device, resolve_precision
     resolve_device("cpu")
 
 def large_tensors(): [torch.ones(2**24) for _ in range(5)]
@@ -36,6 +36,20 @@ def test_a_missing_gpu_is_an_error() -> None:
     assert resolve_device("auto") == torch.device("cpu")
     with pytest.raises(ConfigError, match="no GPU"):
         resolve_device("cuda")
+
+
+@pytest.mark.parametrize(("fast", "expected"), [(True, torch.bfloat16), (False, torch.float32)])
+def test_precision_is_what_the_device_multiplies_fast(
+    fast: bool, expected: torch.dtype, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cpu._is_avx512_bf16_supported", lambda: fast)
+    monkeypatch.setattr("torch.cpu._is_amx_tile_supported", lambda: False)
+    device = torch.device("cpu")
+    assert resolve_precision("auto", device) == expected
+    assert resolve_precision("float32", device) == torch.float32
+    assert resolve_precision("bfloat16", device) == torch.bfloat16
+    with pytest.raises(ConfigError, match="precision is 'half'; expected auto, float32 or bfloat16"):
+        resolve_precision("half", device)
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc's allocator can be told so")

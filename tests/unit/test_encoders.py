@@ -12,14 +12,14 @@ CONFIGS = [(EncoderConfig("wide_resnet", 8, 1), 32), (EncoderConfig("resnet18", 
 @pytest.mark.parametrize(("config", "size"), CONFIGS)
 def test_code_does_not_depend_on_the_rest_of_the_batch(config: EncoderConfig, size: int) -> None:
     with initialised(0):
-        encoder = Encoder(config, 5)
+        encoder = Encoder(config, 5, torch.float32)
     images = torch.rand(3, 3, size, size, generator=generator(0))
     assert encoder(images).shape == (3, 5)
     torch.testing.assert_close(encoder(images)[1:2], encoder(images[1:2]))
 
 
 def test_resnet18_of_width_64_has_the_published_weights() -> None:
-    encoder = Encoder(EncoderConfig("resnet18", 64, 2), 10)
+    encoder = Encoder(EncoderConfig("resnet18", 64, 2), 10, torch.float32)
     convolutions = [m for m in encoder.modules() if isinstance(m, torch.nn.Conv2d)]
     # He et al. 2016: 17 convolutions, one of them 7x7, and three 1x1 projections, 11,166,912 weights.
     assert len(convolutions) == 20
@@ -28,7 +28,7 @@ def test_resnet18_of_width_64_has_the_published_weights() -> None:
 
 def test_standardized_codes_have_mean_zero_and_one_deviation() -> None:
     with initialised(0):
-        encoder = Encoder(EncoderConfig("wide_resnet", 8, 1), 5)
+        encoder = Encoder(EncoderConfig("wide_resnet", 8, 1), 5, torch.float32)
     images = torch.rand(6, 3, 32, 32, generator=generator(0))
     encoder.standardize(images)
     codes = encoder(images)
@@ -38,7 +38,25 @@ def test_standardized_codes_have_mean_zero_and_one_deviation() -> None:
 
 def test_code_tells_where_things_are() -> None:
     with initialised(0):
-        encoder = Encoder(EncoderConfig("wide_resnet", 8, 1), 5)
+        encoder = Encoder(EncoderConfig("wide_resnet", 8, 1), 5, torch.float32)
     images = torch.zeros(1, 3, 32, 32)
     images[..., 2:8, 2:8] = 1
     assert not torch.allclose(encoder(images), encoder(images.flip(-1)), atol=1e-3)
+
+
+def test_bfloat16_rounds_codes_and_gradients() -> None:
+    images = torch.rand(4, 3, 32, 32, generator=generator(0))
+
+    def code_and_gradient(precision: torch.dtype) -> list[torch.Tensor]:
+        with initialised(0):
+            encoder = Encoder(EncoderConfig("wide_resnet", 8, 1), 5, precision)
+        code = encoder(images)
+        code.square().sum().backward()
+        gradient = next(encoder.parameters()).grad
+        assert gradient is not None
+        return [code.detach(), gradient]
+
+    for exact, rounded in zip(code_and_gradient(torch.float32), code_and_gradient(torch.bfloat16), strict=True):
+        assert rounded.dtype == torch.float32
+        cosine = torch.cosine_similarity(rounded.flatten(), exact.flatten(), dim=0)
+        assert 0.98 < cosine < 1 - 1e-7

@@ -43,6 +43,27 @@ def test_feature_distance_is_equation_one_summed_over_layers() -> None:
     torch.testing.assert_close(feature_distance(first, second), naive_pairwise(first, second).diagonal())
 
 
+def test_gradients_of_the_distance_reach_both_pictures() -> None:
+    first, second = random_features("first", 3), random_features("second", 3)
+    for layer in [*first, *second]:
+        layer.requires_grad_()
+    own = torch.autograd.grad(feature_distance(first, second).sum(), [*first, *second])
+    naive = torch.autograd.grad(naive_pairwise(first, second).diagonal().sum(), [*first, *second])
+    for one, other in zip(own, naive, strict=True):
+        torch.testing.assert_close(one, other)
+
+
+def test_distances_of_bfloat16_features_are_taken_in_float32() -> None:
+    first, second = random_features("first", 3), random_features("second", 3)
+    low = [layer.bfloat16().requires_grad_() for layer in second]
+    for kept in (first, [layer.bfloat16() for layer in first]):
+        distance = feature_distance([layer.to(kept[0].dtype) for layer in kept], low)
+        rounded = feature_distance([layer.float() for layer in kept], [layer.detach().float() for layer in low])
+        torch.testing.assert_close(distance.float(), rounded)
+        gradients = torch.autograd.grad(distance.sum(), low)
+        assert all(gradient.dtype == torch.bfloat16 for gradient in gradients)
+
+
 def test_pairwise_distance_is_the_distance_of_every_pair() -> None:
     first, second = random_features("first", 4), random_features("second", 3)
     expected = naive_pairwise(first, second).float()

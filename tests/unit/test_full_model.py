@@ -64,7 +64,7 @@ def test_gradients_of_a_rendering_reach_every_network() -> None:
 def test_single_stage_training_starts_from_the_ellipsoid_and_needs_no_mesh() -> None:
     single_stage = replace(TRAINING, model=replace(MODEL, two_stage=False))
     base = load_base(single_stage, Path("missing"), torch.device("cpu"))
-    model = FullModel(single_stage.model, base)
+    model = FullModel(single_stage.model, base, torch.float32)
     sides = base.vertices[0].amax(0) - base.vertices[0].amin(0)
     torch.testing.assert_close(sides, torch.tensor([0.5, 0.5, 1.0]), atol=0.02, rtol=0)
     assert model.shapes.parameter_count == base.vertices[0].numel()

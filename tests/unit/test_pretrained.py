@@ -156,12 +156,15 @@ def test_a_given_network_survives_its_file_and_is_told_by_it(tmp_path: Path) -> 
     network = adopt(write(tmp_path / "alexnet.safetensors", alexnet_weights()), photographs(9), 65.0, seed=0)
     save_feature_extractor(tmp_path / "features.safetensors", network, 20.0, {"method": "pretrained"})
     images = random_images()
-    loaded, own = load_feature_extractor(tmp_path / "features.safetensors", CPU), FeatureExtractor(network, 20.0)
+    loaded, own = (
+        load_feature_extractor(tmp_path / "features.safetensors", CPU, torch.float32),
+        FeatureExtractor(network, 20.0),
+    )
     for stored, expected in zip(loaded(images), own(images), strict=True):
         torch.testing.assert_close(stored, expected, rtol=0.02, atol=0.02)
     save_tensors(tmp_path / "features.safetensors", {}, {"architecture": "vgg"})
     with pytest.raises(DataError, match="holds no pretrained network"):
-        load_feature_extractor(tmp_path / "features.safetensors", CPU)
+        load_feature_extractor(tmp_path / "features.safetensors", CPU, torch.float32)
 
 
 def test_the_distance_grows_with_the_shift_of_an_object(tmp_path: Path) -> None:

@@ -62,6 +62,23 @@ def test_folding_changes_no_feature() -> None:
         torch.testing.assert_close(folded, plain, rtol=1e-4, atol=1e-4)
 
 
+def test_bfloat16_rounds_features_and_gradients() -> None:
+    network, pictures = trained_like(16, 2), random_images()
+
+    def maps_and_gradient(precision: torch.dtype) -> list[torch.Tensor]:
+        images = pictures.clone().requires_grad_()
+        colors, *maps = FeatureExtractor(network, 2.0).to(precision)(images)
+        assert all(layer.dtype == precision for layer in maps)
+        assert torch.equal(colors, 2 * pictures)
+        torch.stack([layer.float().square().mean() for layer in maps]).sum().backward()
+        assert images.grad is not None
+        return [*(layer.detach().float() for layer in maps), images.grad]
+
+    for exact, rounded in zip(maps_and_gradient(torch.float32), maps_and_gradient(torch.bfloat16), strict=True):
+        cosine = torch.cosine_similarity(rounded.flatten(), exact.flatten(), dim=0)
+        assert 0.99 < cosine < 1 - 1e-7
+
+
 def test_folding_leaves_the_network_itself_alone() -> None:
     network = trained_like()
     before = network(random_images())
@@ -94,7 +111,7 @@ def test_a_network_survives_its_file(tmp_path: Path) -> None:
     images = random_images()
     torch.testing.assert_close(load_wide_resnet(path, CPU)(images), network(images), rtol=0.02, atol=0.02)
     for loaded, own in zip(
-        load_feature_extractor(path, CPU)(images), FeatureExtractor(network, 2.0)(images), strict=True
+        load_feature_extractor(path, CPU, torch.float32)(images), FeatureExtractor(network, 2.0)(images), strict=True
     ):
         torch.testing.assert_close(loaded, own, rtol=0.02, atol=0.02)
 
@@ -103,7 +120,7 @@ def test_a_file_of_something_else_is_a_data_error(tmp_path: Path) -> None:
     path = tmp_path / "mesh.safetensors"
     save_tensors(path, {"vertices": torch.zeros(3, 3)}, {})
     with pytest.raises(DataError, match=r"mesh\.safetensors holds no wide residual network"):
-        load_feature_extractor(path, CPU)
+        load_feature_extractor(path, CPU, torch.float32)
 
 
 def test_kept_features_are_those_of_the_pictures() -> None:
