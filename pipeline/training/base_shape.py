@@ -130,7 +130,9 @@ class SeedTrainer:
                 fit_unit_cube((sphere.directions * dimensions)[None])[0],
                 sphere.mirror,
             ).to(device)
-        self.optimizer = torch.optim.Adam(self.scene.parameters(), lr=config.learning_rate, betas=config.betas)
+        self.optimizer = torch.optim.Adam(
+            self.scene.parameters(), lr=config.learning_rate, betas=config.betas, fused=True
+        )
         self.rng = generator(seed, "base_shape", index, device=device)
         agree(self.scene.state_dict().values())
 

@@ -44,8 +44,8 @@ class EndsConfig:
 
     shown: Literal["equally", "mostly_one"]
     """How often photographs show one end and the other."""
-    after: float
-    """Part of full training's iterations before it, above 0 and below 1."""
+    after: tuple[float, ...]
+    """Parts of full training's iterations before every time, above 0; 1 is right before the last lessons."""
     box_size: float
     """Longer side of the object's box over the side of a cut picture."""
     components: int
@@ -67,10 +67,10 @@ class EndsConfig:
 
     def __post_init__(self) -> None:
         """Raise ConfigError for a time outside of training and for too few rounds or folds."""
-        if not 0 < self.after < 1 or self.rounds < 2 or self.folds < 2:
+        if not self.after or not all(0 < part <= 1 for part in self.after) or self.rounds < 2 or self.folds < 2:
             raise ConfigError(
-                f"ends are told after {self.after} of training, in {self.rounds} rounds and {self.folds} folds; "
-                "expected a part between 0 and 1, and at least 2 of either"
+                f"ends are told after {list(self.after)} of training, in {self.rounds} rounds and {self.folds} folds; "
+                "expected parts above 0 and up to 1, and at least 2 of either"
             )
 
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 from tqdm import tqdm
@@ -108,7 +108,7 @@ class FullTrainer:
             self.discriminator = ViewDiscriminator(config.discriminator_width, POSE_COORDINATES).to(device)
         self.loss = FullLoss(config.loss, self.model, self.discriminator, extractor)
         parameters = [*self.model.parameters(), *self.discriminator.parameters()]
-        self.optimizer = torch.optim.Adam(parameters, lr=config.learning_rate, betas=config.betas)
+        self.optimizer = torch.optim.Adam(parameters, lr=config.learning_rate, betas=config.betas, fused=True)
         self.rng = generator(seed, "full_training", device=device)
         self.record = first_record(self.model, len(photographs.images), self.rng)
         self.visits = torch.zeros(len(photographs.images), dtype=torch.int64, device=device)
@@ -164,21 +164,26 @@ class FullTrainer:
             agree([poses])
         self.record = Record(poses, self.record.shape)
 
+    def turn_told(self, config: EndsConfig) -> Bool[Tensor, " N"]:
+        """Turn recorded poses of the first photographs that show the opposite ends; tell which are now sure."""
+        images, poses, first = self.photographs.images, self.record.pose, config.photographs
+        told = tell_ends(images[:first], poses[:first], self.model.poses, self.extractor, config, self.rng)
+        agree([told])
+        told = functional.pad(told, (0, len(poses) - len(told)))
+        self.record = Record(torch.where(told[:, None] < 0, flipped(poses, 1)[0], poses), self.record.shape)
+        return (told != 0) & (self.visits > 0)
+
     def turn_round(self, config: EndsConfig) -> None:
         """Turn recorded poses of photographs that show the opposite ends, and let the pose networks learn them.
 
         Photographs beyond the first, or without a visit, show the ends that the networks then read off them.
         """
-        images, poses, first = self.photographs.images, self.record.pose, config.photographs
-        told = tell_ends(images[:first], poses[:first], self.model.poses, self.extractor, config, self.rng)
-        agree([told])
-        told = functional.pad(told, (0, len(poses) - len(told)))
-        poses = torch.where(told[:, None] < 0, flipped(poses, 1)[0], poses)
-        surely = (told != 0) & (self.visits > 0)
+        surely = self.turn_told(config)
         if not surely.any():
             return
+        poses = self.record.pose
         self._learn(surely.nonzero().flatten(), poses)
-        read = read_poses(self.model, images)
+        read = read_poses(self.model, self.photographs.images)
         agree([read])
         opposite = ~surely & ((read[:, :2] * poses[:, :2]).sum(dim=1) < 0)
         self.record = Record(torch.where(opposite[:, None], flipped(poses, 1)[0], poses), self.record.shape)
@@ -262,7 +267,7 @@ def train_full(
         checkpoint.save(pack(**trainer.parts()), {"iteration": 0, "rows": [], "recent": []})
     steps = range(first, config.iterations)
     for iteration in tqdm(steps, "full training", initial=first, total=config.iterations, disable=silent()):
-        if config.ends is not None and iteration == int(config.ends.after * config.iterations):
+        if config.ends is not None and iteration in (int(part * config.iterations) for part in config.ends.after):
             trainer.turn_round(config.ends)
         unread.append(trainer.step(iteration))
         last = iteration + 1 == config.iterations
@@ -275,6 +280,8 @@ def train_full(
             values = {"iteration": iteration + 1, "rows": curve.rows, "recent": recent}
             checkpoint.save(pack(**trainer.parts()), values)
     read_losses(unread, config.iterations - 1)
+    if config.ends is not None and 1 in config.ends.after:
+        trainer.turn_told(config.ends)
     trainer.review()
     return trainer, curve
 

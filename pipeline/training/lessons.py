@@ -44,7 +44,7 @@ def learn_poses(
     Every head learns from every photograph. What thousands of photographs agree on outweighs single wrong poses.
     """
     parameters = [*model.pose_encoder.parameters(), *model.pose_decoder.parameters()]
-    optimizer = torch.optim.Adam(parameters, lr=config.learning_rate, betas=config.betas)
+    optimizer = torch.optim.Adam(parameters, lr=config.learning_rate, betas=config.betas, fused=True)
     for step in tqdm(range(config.iterations), "lessons", disable=silent()):
         rows = share(torch.randint(len(index), (config.batch_size,), generator=rng, device=rng.device))
         images, wanted = photographs[index[rows]].float() / 255, poses[rows]

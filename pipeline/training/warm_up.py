@@ -64,7 +64,7 @@ class Sample(NamedTuple):
 
 def warm_up(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: torch.Generator) -> None:
     """Train every encoder and decoder of the model on renderings. Raises TrainingDiverged as full training does."""
-    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, betas=config.betas)
+    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, betas=config.betas, fused=True)
     losses: list[dict[str, Tensor]] = []
     for _ in tqdm(range(config.iterations), "warm-up", disable=silent()):
         loss = warm_up_loss(model, draw_sample(model, scenes, config, rng))

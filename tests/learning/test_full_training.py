@@ -65,7 +65,7 @@ def test_interrupted_training_ends_with_the_same_bytes(config: FullTrainingConfi
 def test_training_that_dies_after_telling_ends_resumes_to_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ends = EndsConfig("equally", 0.5, 0.85, 8, 0.3, 60.0, 85.0, 3, 4.0, 2, 1000)
+    ends = EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 60.0, 85.0, 3, 4.0, 2, 1000)
     config = replace(TRAINING, first_poses=None, ends=ends, photographs_per_iteration=40.0)
     count, step = 80, FullTrainer.step
     whole = state(train(config, tmp_path / "whole", count))
@@ -96,10 +96,23 @@ def test_ends_are_turned_as_told_and_elsewhere_as_read(monkeypatch: pytest.Monke
     read = torch.where(read_as_recorded[:, None], before, flipped(before, 1)[0])
     monkeypatch.setattr("pipeline.training.full.tell_ends", lambda images, *_: told[: len(images)])
     monkeypatch.setattr("pipeline.training.full.read_poses", lambda *_: read)
-    trainer.turn_round(EndsConfig("equally", 0.5, 0.85, 8, 0.3, 60.0, 85.0, 3, 4.0, 2, 8))
+    trainer.turn_round(EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 60.0, 85.0, 3, 4.0, 2, 8))
     turned = (trainer.record.pose[:, :2] * before[:, :2]).sum(dim=1) < 0
     assert turned.nonzero().flatten().tolist() == [1, 3, 6, 7, 9, 11]
     torch.testing.assert_close(trainer.record.pose[:, 2:], before[:, 2:])
+
+
+def test_ends_told_after_training_are_learned_in_the_last_lessons(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ends = EndsConfig("equally", (1.0,), 0.85, 8, 0.3, 60.0, 85.0, 3, 4.0, 2, 1000)
+    lessons: list[Tensor] = []
+    monkeypatch.setattr("pipeline.training.full.learn_poses", lambda *given: lessons.append(given[3]))
+    untold = train(TRAINING, tmp_path / "untold")
+    monkeypatch.setattr("pipeline.training.full.tell_ends", lambda images, *_: -torch.ones(len(images)))
+    told = train(replace(TRAINING, ends=ends), tmp_path / "told")
+    assert torch.equal(told.record.pose, flipped(untold.record.pose, 1)[0])
+    assert torch.equal(lessons[-1], told.record.pose[told.visits > 0])
 
 
 @pytest.mark.parametrize(("iterations", "rows"), [(1, [1]), (3, [2, 3])])

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -16,7 +17,7 @@ from tests.tiny_full_model import MODEL, photographs_of, tiny_extractor, tiny_mo
 
 CONFIG = EndsConfig(
     shown="equally",
-    after=0.5,
+    after=(0.5,),
     box_size=0.85,
     components=32,
     repainting_floor=0.3,
@@ -105,9 +106,11 @@ def test_photographs_that_mostly_show_one_end_tell_which_records_are_wrong() -> 
     assert ((belief < 0) == wrong).float().mean() > 0.9
 
 
-@pytest.mark.parametrize("change", [{"after": 0.0}, {"after": 1.0}, {"folds": 1}, {"rounds": 1}])
-def test_settings_out_of_range_are_refused(change: dict[str, float]) -> None:
-    with pytest.raises(ConfigError, match="expected a part between 0 and 1"):
+@pytest.mark.parametrize(
+    "change", [{"after": ()}, {"after": (0.0,)}, {"after": (0.5, 1.1)}, {"folds": 1}, {"rounds": 1}]
+)
+def test_settings_out_of_range_are_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(ConfigError, match="expected parts above 0 and up to 1"):
         replace(CONFIG, **change)
 
 
