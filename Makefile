@@ -18,7 +18,7 @@ run: $(if $(BASELINE),$(TOOLS),$(STAMP))  ## turn a row of the paper on and run 
 	python -m stages.run_row $(foreach option,ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASELINE,$(if $($(option)),--$(shell echo $(option) | tr A-Z a-z) "$($(option))"))
 
 test: $(TOOLS)  ## the whole test suite
-	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 pytest
+	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 pytest --numprocesses 2 --dist loadfile
 
 check: $(TOOLS)  ## style, types and the direction of imports
 	ruff check
