@@ -22,8 +22,7 @@ class _CompiledRasterize(torch.autograd.Function):
         from pipeline.rendering import rasterize_cpu
 
         vertices = vertices_ndc.detach().contiguous()
-        face_index = rasterize_cpu.nearest_faces(vertices.numpy(), faces.numpy(), size)
-        barycentric = rasterize_cpu.barycentric_coordinates(vertices.numpy(), faces.numpy(), face_index)
+        face_index, barycentric = rasterize_cpu.rasterize(vertices.numpy(), faces.numpy(), size)
         result = torch.from_numpy(face_index), torch.from_numpy(barycentric)
         ctx.save_for_backward(vertices, faces, result[0])
         ctx.mark_non_differentiable(result[0])
