@@ -57,7 +57,7 @@ def train(arguments: Namespace, device: torch.device) -> None:
         return
     save_feature_extractor(arguments.out, network, config.color_weight, metadata)
     curve.write(arguments.curve)
-    write_json(arguments.metrics, measure(arguments.out, test, config, precision, device))
+    write_json(arguments.metrics, measure(arguments.out, test, config, device))
     checkpoint.clear()
 
 

@@ -33,7 +33,6 @@ class _NormOfDifference(torch.autograd.Function):
         difference = second - first
         norm = torch.linalg.vector_norm(difference, dim=-1)
         ctx.save_for_backward(difference, norm)
-        ctx.dtypes = first.dtype, second.dtype
         return norm
 
     @staticmethod
@@ -42,10 +41,7 @@ class _NormOfDifference(torch.autograd.Function):
         scale = torch.where(norm > 0, gradients[0] / norm, 0.0)
         gradient = difference * scale[..., None]
         of_first, of_second = ctx.needs_input_grad
-        return (
-            -gradient.to(ctx.dtypes[0]) if of_first else None,
-            gradient.to(ctx.dtypes[1]) if of_second else None,
-        )
+        return -gradient if of_first else None, gradient if of_second else None
 
 
 @torch.no_grad()

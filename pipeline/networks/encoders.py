@@ -82,7 +82,7 @@ class Encoder(nn.Module):
         """Return the codes of images in [0, 1]; pooling to 4x4 keeps where things are."""
         with torch.autocast(images.device.type, torch.bfloat16, enabled=self.precision == torch.bfloat16):
             maps = functional.relu(self.normalize(self.groups(self.stem(2 * images - 1))))
-            return self.project(functional.adaptive_avg_pool2d(maps, 4).flatten(1)).float()
+        return self.project(functional.adaptive_avg_pool2d(maps.float(), 4).flatten(1))
 
     @torch.no_grad()
     def standardize(self, images: Float[Tensor, "B 3 H W"]) -> None:

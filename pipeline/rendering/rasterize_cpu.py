@@ -58,7 +58,7 @@ def draw_face(
 
 @njit()
 @no_type_check
-def weigh_corners(
+def write_barycentric_coordinates(
     points: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
     face_index: Int[np.ndarray, "H W"],
@@ -97,7 +97,7 @@ def rasterize(
             a, b, c = points[faces[face, 0]], points[faces[face, 1]], points[faces[face, 2]]
             x, y, nearness = (a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2])
             draw_face(face, x, y, nearness, nearest, face_index[picture])
-        weigh_corners(points, faces, face_index[picture], barycentric[picture])
+        write_barycentric_coordinates(points, faces, face_index[picture], barycentric[picture])
     return face_index, barycentric
 
 

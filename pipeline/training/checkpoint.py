@@ -140,8 +140,10 @@ def _restore_optimizer(optimizer: Optimizer, tensors: Mapping[str, Tensor]) -> N
         else:
             parameter = parameters[int(position)]
             # The parameter's memory layout (channels last) too: element-wise kernels may round by layout.
+            # Numbers go to its device as well, where a fused Adam counts its steps.
             same_shape = tensor.shape == parameter.shape
-            optimizer.state[parameter][name] = torch.empty_like(parameter).copy_(tensor) if same_shape else tensor
+            restored = torch.empty_like(parameter).copy_(tensor) if same_shape else tensor.to(parameter.device)
+            optimizer.state[parameter][name] = restored
 
 
 def _parameters(optimizer: Optimizer) -> list[Tensor]:

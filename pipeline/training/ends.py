@@ -1,6 +1,6 @@
-"""Tell the ends of mirror-symmetric objects apart, in the midst of full training (ours).
+"""Tell the ends of mirror-symmetric objects apart, from what full training has recorded (ours).
 
-By then the records hold axes and boxes, but which end of its axis a photograph shows is nearly chance: renderings tell
+The records hold axes and boxes, but which end of its axis a photograph shows is nearly chance: renderings tell
 builds apart, not ends (a van's ends are both steep, a saloon's both low). What changes sign in the mirror knows nothing
 of build and paint, and what it says of the way objects face depends on how they were photographed:
 
@@ -11,6 +11,7 @@ of build and paint, and what it says of the way objects face depends on how they
   to take all of them for the preferred end is right more often. The end nearer to the camera is the one an object faces
   with, so oblique views tell a regression which way they face, and it tells which way sides do.
 
+Near-by azimuths differ by more than the two ends do, so recorded axes are made consistent with each other first.
 What all photographs show, those along the axis too, is judged by a last regression, of the azimuths that follow, on all
 features: among photographs whose ends were told by which way they face, builds are the same at both.
 """
@@ -32,8 +33,8 @@ from pipeline.training.first_poses import cut_to_box
 
 _FEWEST = 50
 """Photographs of sides below which no clusters can be told."""
-_LEADING = 4
-"""Principal components among which two clusters are looked for."""
+_CONSISTENCY = 2.0
+"""How much what features say of an axis counts beside its record."""
 _SHARPNESS = 1.2
 """Of beliefs: a score of typical size is believed by tanh(1.2) = .83."""
 
@@ -77,22 +78,26 @@ class EndsConfig:
 @torch.no_grad()
 def tell_ends(
     photographs: UInt8[Tensor, "N 3 H W"],
-    coordinates: Float[Tensor, "N 7"],
+    recorded: Float[Tensor, "N 7"],
+    read: Float[Tensor, "N 7"],
     poses: PoseCoordinates,
     extractor: FeatureExtractor,
     config: EndsConfig,
     rng: torch.Generator,
 ) -> Float[Tensor, " N"]:
-    """Return whether photographs show the ends that their pose coordinates say: positive if so, else negative.
+    """Return whether photographs show the ends that their recorded pose coordinates say: positive if so, else negative.
 
-    0 everywhere where too few photographs show sides. Where both ends are shown equally often it is not known which of
-    the two clusters faces left: the coordinates of the majority are taken to be right.
+    Boxes, elevations and rolls are the means of the recorded ones and of those that networks read. 0 everywhere where
+    too few photographs show sides. Where both ends are shown equally often it is not known which of the two clusters
+    faces left: the coordinates of the majority are taken to be right.
     """
+    coordinates = torch.cat([recorded[:, :2], (recorded[:, 2:] + read[:, 2:]) / 2], 1)
     images = cut_to_box(photographs / 255, poses, coordinates, config.box_size, poses.roll(coordinates))
-    here, mirrored = paintless_features(images, extractor, config.components, config.repainting_floor, rng)
-    to_the_right = coordinates[:, 1:2] < 0
-    odd = torch.where(to_the_right, mirrored - here, here - mirrored)
-    slant = -functional.normalize(coordinates[:, :2], dim=1)[:, 0].asin()
+    features = paintless_features(images, extractor, config.components, config.repainting_floor, rng)
+    turn = consistent_axes(features, recorded[:, :2], config, rng)
+    to_the_right = turn[:, 1:] < 0
+    odd = torch.where(to_the_right, -1, 1) * (features[0] - features[1])
+    slant = -turn[:, 0].asin()
     if (slant.abs() <= math.radians(config.side_reach)).sum() < _FEWEST:
         return torch.zeros_like(slant)
     if config.shown == "equally":
@@ -100,11 +105,37 @@ def tell_ends(
         belief = facing(odd, slant, torch.cat([slant[:, None] * coordinates[:, 2:3], roll], 1), config, rng)
     else:
         belief = facing_with_preferred_end(odd, slant, config)
-    seen, opposite = opposite_bins(torch.atan2(coordinates[:, 1], coordinates[:, 0]))
+    seen, opposite = opposite_bins(torch.atan2(turn[:, 1], turn[:, 0]))
     probabilities = ((1 + belief) * seen.T + (1 - belief) * opposite.T).T / 2
-    scores = judge(torch.stack([here, mirrored]), probabilities, config.ridge, config.folds, rng)
+    scores = judge(features, probabilities, config.ridge, config.folds, rng)
     lead = (scores * (seen - opposite)).sum(dim=1)
     return -lead if config.shown == "equally" and lead.sign().sum() < 0 else lead
+
+
+def consistent_axes(
+    features: Float[Tensor, "2 N C"], turn: Float[Tensor, "N 2"], config: EndsConfig, rng: torch.Generator
+) -> Float[Tensor, "N 2"]:
+    """Return cosines and sines of azimuths whose axes similar photographs agree on; ends stay as they are.
+
+    `features` are of the photographs and of their mirror images. To each axis is added what a regression says of it
+    that was fitted to the others.
+    """
+    turn = functional.normalize(turn, dim=1)
+    axis = torch.stack([turn[:, 0].square() - turn[:, 1].square(), 2 * turn.prod(dim=1)], 1)  # of twice the angle
+    mirror = axis.new_tensor([1.0, -1.0])
+    targets = torch.stack([axis, axis * mirror])
+    mean = targets.mean(dim=(0, 1))
+    said = torch.zeros_like(axis)
+    fold = torch.randperm(len(axis), generator=rng, device=rng.device) % config.folds
+    for held_out in range(config.folds):
+        fitted, judged = fold != held_out, fold == held_out
+        weights = _fit(features[:, fitted].flatten(0, 1), (targets[:, fitted] - mean).flatten(0, 1), config.ridge)
+        here, there = features[:, judged] @ weights + mean
+        said[judged] = (here + there * mirror) / 2
+    cosine, sine = (axis + _CONSISTENCY * said).unbind(1)
+    angle = torch.atan2(sine, cosine) / 2
+    consistent = torch.stack([angle.cos(), angle.sin()], 1)
+    return torch.where((consistent * turn).sum(dim=1, keepdim=True) < 0, -consistent, consistent)
 
 
 def facing(
@@ -164,10 +195,8 @@ def opposite_bins(azimuth: Float[Tensor, " N"]) -> tuple[Float[Tensor, "N azimut
 
 
 def _two_clusters(values: Float[Tensor, "N C"]) -> Float[Tensor, " N"]:
-    """Return the leading principal component of least kurtosis, in standard deviations: 1 for two points, 3 normal."""
-    components = torch.linalg.svd(values, full_matrices=False).U[:, :_LEADING] * math.sqrt(len(values))
-    kurtosis = components.pow(4).mean(dim=0) / components.square().mean(dim=0).square()
-    return components[:, kurtosis.argmin()]
+    """Return the leading principal component, in standard deviations."""
+    return torch.linalg.svd(values, full_matrices=False).U[:, 0] * math.sqrt(len(values))
 
 
 def _fit(design: Float[Tensor, "N D"], targets: Float[Tensor, "N K"], ridge: float = 1e-6) -> Float[Tensor, "D K"]:

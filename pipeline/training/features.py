@@ -197,12 +197,10 @@ def trials(pictures: Pictures, config: FeaturesConfig) -> int:
     return len(pictures.images) * (4 if config.method == "rotation" else 1)
 
 
-def measure(
-    path: Path, test: Pictures, config: FeaturesConfig, precision: torch.dtype, device: torch.device
-) -> dict[str, float]:
+def measure(path: Path, test: Pictures, config: FeaturesConfig, device: torch.device) -> dict[str, float]:
     """Measure the accuracy of the weights as they are stored."""
     network = load_wide_resnet(path, device)
-    value, n = accuracy(network, test, config, precision), trials(test, config)
+    value, n = accuracy(network, test, config, torch.float32), trials(test, config)
     error = math.sqrt(value * (1 - value) / n)
     return {"accuracy": value, "accuracy_standard_error": error, "n": n, "parameters": count_parameters(network)}
 

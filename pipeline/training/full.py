@@ -166,8 +166,9 @@ class FullTrainer:
 
     def turn_told(self, config: EndsConfig) -> Bool[Tensor, " N"]:
         """Turn recorded poses of the first photographs that show the opposite ends; tell which are now sure."""
-        images, poses, first = self.photographs.images, self.record.pose, config.photographs
-        told = tell_ends(images[:first], poses[:first], self.model.poses, self.extractor, config, self.rng)
+        images, poses, model = self.photographs.images[: config.photographs], self.record.pose, self.model
+        read = read_poses(model, images)
+        told = tell_ends(images, poses[: len(read)], read, model.poses, self.extractor, config, self.rng)
         agree([told])
         told = functional.pad(told, (0, len(poses) - len(told)))
         self.record = Record(torch.where(told[:, None] < 0, flipped(poses, 1)[0], poses), self.record.shape)
@@ -281,7 +282,7 @@ def train_full(
             checkpoint.save(pack(**trainer.parts()), values)
     read_losses(unread, config.iterations - 1)
     if config.ends is not None and 1 in config.ends.after:
-        trainer.turn_told(config.ends)
+        trainer.turn_round(config.ends)
     trainer.review()
     return trainer, curve
 

@@ -54,7 +54,7 @@ class HoloGANTrainer:
             self.generator = HoloGenerator(config.network).to(device)
             self.discriminator = HoloDiscriminator(config.network).to(device)
         self.generator_optimizer, self.discriminator_optimizer = (
-            Adam(network.parameters(), lr=config.learning_rate, betas=config.betas)
+            Adam(network.parameters(), lr=config.learning_rate, betas=config.betas, fused=True)
             for network in (self.generator, self.discriminator)
         )
         self.rng = generator(seed, "hologan", device=device)

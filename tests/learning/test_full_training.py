@@ -111,8 +111,23 @@ def test_ends_told_after_training_are_learned_in_the_last_lessons(
     untold = train(TRAINING, tmp_path / "untold")
     monkeypatch.setattr("pipeline.training.full.tell_ends", lambda images, *_: -torch.ones(len(images)))
     told = train(replace(TRAINING, ends=ends), tmp_path / "told")
-    assert torch.equal(told.record.pose, flipped(untold.record.pose, 1)[0])
-    assert torch.equal(lessons[-1], told.record.pose[told.visits > 0])
+    visited = told.visits > 0
+    assert torch.equal(told.record.pose[visited], flipped(untold.record.pose, 1)[0][visited])
+    assert torch.equal(lessons[-1], told.record.pose[visited])
+
+
+@pytest.mark.parametrize(
+    ("after", "steps"), [(None, []), ((0.5,), [2]), ((0.5, 1.0), [2, 4]), ((0.25, 0.75), [1, 3]), ((1.0,), [4])]
+)
+def test_ends_are_told_when_the_config_says(
+    after: tuple[float, ...] | None, steps: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ends = None if after is None else EndsConfig("equally", after, 0.85, 8, 0.3, 60.0, 85.0, 3, 4.0, 2, 1000)
+    step, done, told = FullTrainer.step, [], []
+    monkeypatch.setattr(FullTrainer, "step", lambda self, i: (done.append(i), step(self, i))[1])
+    monkeypatch.setattr(FullTrainer, "turn_round", lambda *_: told.append(len(done)))
+    train(replace(SINGLE_STAGE, iterations=4, ends=ends), tmp_path)
+    assert told == steps
 
 
 @pytest.mark.parametrize(("iterations", "rows"), [(1, [1]), (3, [2, 3])])

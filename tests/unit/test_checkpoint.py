@@ -17,6 +17,10 @@ def adam(parameters: Iterable[nn.Parameter]) -> Optimizer:
     return Adam(parameters, lr=0.1, betas=(0.5, 0.99))
 
 
+def fused_adam(parameters: Iterable[nn.Parameter]) -> Optimizer:
+    return Adam(parameters, lr=0.1, betas=(0.5, 0.99), fused=True)
+
+
 def nesterov(parameters: Iterable[nn.Parameter]) -> Optimizer:
     return SGD(parameters, lr=0.1, momentum=0.9, nesterov=True)
 
@@ -48,7 +52,7 @@ class Training:
         self.optimizer.param_groups[0]["lr"] *= 0.9
 
 
-@pytest.mark.parametrize("make_optimizer", [adam, nesterov])
+@pytest.mark.parametrize("make_optimizer", [adam, fused_adam, nesterov])
 @pytest.mark.parametrize("stop", [0, 1, 3])
 def test_resumed_equals_uninterrupted(make_optimizer: Callable[..., Optimizer], stop: int, tmp_path: Path) -> None:
     whole, stopped, resumed = Training(make_optimizer), Training(make_optimizer), Training(make_optimizer)
@@ -128,3 +132,13 @@ def test_a_loss_that_is_not_finite_stops_the_training(value: float) -> None:
     require_finite(torch.tensor(1.0), 3)
     with pytest.raises(TrainingDiverged, match=r"at iteration 17; the last checkpoint before it is kept"):
         require_finite(torch.tensor(value), 17)
+
+
+def test_optimizer_state_is_restored_where_the_parameters_are() -> None:
+    training, elsewhere = Training(fused_adam), Training(fused_adam)
+    training.step()
+    elsewhere.model.to("meta")
+    optimizer = fused_adam(elsewhere.model.parameters())
+    unpack(pack(optimizer=training.optimizer), optimizer=optimizer)
+    devices = {value.device.type for state in optimizer.state.values() for value in state.values()}
+    assert devices == {"meta"}

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pipeline.errors import ConfigError
 from pipeline.seeding import generator
-from pipeline.training.ends import EndsConfig, facing, facing_with_preferred_end, tell_ends
+from pipeline.training.ends import EndsConfig, consistent_axes, facing, facing_with_preferred_end, tell_ends
 from pipeline.training.exploration import flipped
 from pipeline.training.first_poses import cut_to_box
 from tests.tiny_full_model import MODEL, photographs_of, tiny_extractor, tiny_model
@@ -51,7 +51,7 @@ def share_right(belief: Tensor, truth: Tensor) -> float:
 
 def test_facing_is_told_whatever_slant_and_roll() -> None:
     slant, (truth, side) = slants(COUNT), torch.randint(2, (2, COUNT), generator=generator(4)) * 2.0 - 1
-    roll = 0.2 * side + 0.05 * torch.randn(COUNT, generator=generator(5))  # two clusters as well
+    roll = 0.4 * side + 0.05 * torch.randn(COUNT, generator=generator(5))  # two clusters as well
     odd = odd_features(truth, slant, roll)
     belief = facing(odd, slant, roll[:, None], CONFIG, generator(6))
     assert share_right(belief, truth) > 0.95
@@ -86,9 +86,9 @@ def test_photographs_tell_which_recorded_ends_are_wrong() -> None:
     wrong = torch.rand(COUNT, generator=generator(7)) < 0.35
     recorded = torch.where(wrong[:, None], flipped(truth, 1)[0], truth)
     images, extractor = photographs_of(truth), tiny_extractor()
-    belief = tell_ends(images, recorded, model.poses, extractor, CONFIG, generator(8))
+    belief = tell_ends(images, recorded, recorded, model.poses, extractor, CONFIG, generator(8))
     assert ((belief < 0) == wrong).float().mean() > 0.95
-    assert not tell_ends(images[:60], recorded[:60], model.poses, extractor, CONFIG, generator(8)).any()
+    assert not tell_ends(images[:60], recorded[:60], recorded[:60], model.poses, extractor, CONFIG, generator(8)).any()
 
 
 def test_photographs_that_mostly_show_one_end_tell_which_records_are_wrong() -> None:
@@ -101,7 +101,7 @@ def test_photographs_that_mostly_show_one_end_tell_which_records_are_wrong() -> 
     recorded = torch.where(wrong[:, None], flipped(truth, 1)[0], truth)
     images, extractor = photographs_of(truth), tiny_extractor()
     config = replace(CONFIG, shown="mostly_one")
-    belief = tell_ends(images, recorded, model.poses, extractor, config, generator(8))
+    belief = tell_ends(images, recorded, recorded, model.poses, extractor, config, generator(8))
     assert wrong.float().mean() > 0.3
     assert ((belief < 0) == wrong).float().mean() > 0.9
 
@@ -131,3 +131,39 @@ def test_objects_are_cut_upright() -> None:
 
     assert proportion(rolled) == pytest.approx(proportion(side), abs=0.12)
     assert proportion(side) < 0.6
+
+
+def test_axes_of_similar_photographs_become_consistent() -> None:
+    truth, rng = tiny_model().poses.draw(COUNT, generator(2)), generator(9)
+    azimuth = torch.atan2(truth[:, 1], truth[:, 0])
+    wrong = azimuth + 0.2 * torch.randn(COUNT, generator=rng) + math.pi * torch.randint(2, (COUNT,), generator=rng)
+    recorded = torch.stack([wrong.cos(), wrong.sin()], 1)
+    angles = torch.stack([wave(2 * step * azimuth) for step in (1, 2) for wave in (torch.cos, torch.sin)], 1)
+    mirrored = angles * torch.tensor([1.0, -1.0, 1.0, -1.0])
+    features = torch.stack([angles, mirrored]) + 0.3 * torch.randn(2, COUNT, 4, generator=rng)
+    consistent = consistent_axes(features, recorded, replace(CONFIG, ridge=0.1), rng)
+
+    def errors(turn: Tensor) -> Tensor:
+        return (2 * (torch.atan2(turn[:, 1], turn[:, 0]) - azimuth)).sin().abs()
+
+    assert errors(consistent).mean() < 0.7 * errors(recorded).mean()
+    assert ((consistent * recorded).sum(dim=1) > 0).all()
+    torch.testing.assert_close(consistent.norm(dim=1), torch.ones(COUNT))
+
+
+def test_networks_share_in_where_objects_stand() -> None:
+    model = tiny_model()
+    truth = model.poses.draw(COUNT, generator(2))
+    wrong = torch.rand(COUNT, generator=generator(7)) < 0.35
+    recorded = torch.where(wrong[:, None], flipped(truth, 1)[0], truth)
+    shift = torch.zeros(COUNT, 7)
+    shift[:, 4:] = 0.6 * torch.randn(COUNT, 3, generator=generator(1))
+    images, extractor = photographs_of(truth), tiny_extractor()
+
+    def told(read: Tensor) -> Tensor:
+        return tell_ends(images, recorded + shift, read, model.poses, extractor, CONFIG, generator(8))
+
+    torch.testing.assert_close(
+        told(recorded - shift), tell_ends(images, recorded, recorded, model.poses, extractor, CONFIG, generator(8))
+    )
+    assert not torch.allclose(told(recorded), told(recorded - shift))

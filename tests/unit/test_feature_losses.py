@@ -55,13 +55,19 @@ def test_gradients_of_the_distance_reach_both_pictures() -> None:
 
 def test_distances_of_bfloat16_features_are_taken_in_float32() -> None:
     first, second = random_features("first", 3), random_features("second", 3)
-    low = [layer.bfloat16().requires_grad_() for layer in second]
+    low = [layer.bfloat16() for layer in second]
     for kept in (first, [layer.bfloat16() for layer in first]):
-        distance = feature_distance([layer.to(kept[0].dtype) for layer in kept], low)
-        rounded = feature_distance([layer.float() for layer in kept], [layer.detach().float() for layer in low])
-        torch.testing.assert_close(distance.float(), rounded)
-        gradients = torch.autograd.grad(distance.sum(), low)
-        assert all(gradient.dtype == torch.bfloat16 for gradient in gradients)
+        pairs = [layer.detach().requires_grad_() for layer in [*kept, *low]]
+        rounded = [layer.detach().float().requires_grad_() for layer in pairs]
+        distances = [feature_distance(layers[: len(low)], layers[len(low) :]) for layers in (pairs, rounded)]
+        assert distances[0].dtype == torch.promote_types(kept[0].dtype, torch.float32)
+        torch.testing.assert_close(distances[0].float(), distances[1])
+        own, expected = (
+            torch.autograd.grad(d.sum(), layers) for d, layers in zip(distances, (pairs, rounded), strict=True)
+        )
+        for gradient, layer, wanted in zip(own, pairs, expected, strict=True):
+            assert gradient.dtype == layer.dtype
+            torch.testing.assert_close(gradient.float(), wanted, rtol=2**-7, atol=1e-6)
 
 
 def test_pairwise_distance_is_the_distance_of_every_pair() -> None:
