@@ -18,6 +18,7 @@ from torch.profiler import profile, record_function
 
 from benchmarks.measuring import DEVICE, ON_GPU, complete, floors, largest_items
 from pipeline.config import load
+from pipeline.device import resolve_precision
 from pipeline.geometry.icosphere import icosphere
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.wide_resnet import WideResNet
@@ -39,7 +40,8 @@ def trainer_of(size: str) -> FullTrainer:
     directions, faces = (part.to(DEVICE) for part in icosphere(3))
     base = Mesh(directions[None] * directions.new_tensor([0.25, 0.25, 0.5]), faces, directions)
     with initialised(0):
-        extractor = FeatureExtractor(WideResNet(16, WIDTHS[size], 4), color_weight=60.0).to(DEVICE)
+        extractor = FeatureExtractor(WideResNet(16, WIDTHS[size], 4), color_weight=60.0)
+    extractor.to(DEVICE, resolve_precision("auto", DEVICE))
     pictures = torch.randint(0, 256, (256, 3, 32, 32), generator=generator(0)).to(DEVICE, torch.uint8)
     return FullTrainer(config, Photographs(pictures, extractor, 64, memory=2**30), extractor, base, seed=0)
 
@@ -113,4 +115,5 @@ def test_full_training_step(benchmark: BenchmarkFixture, size: str) -> None:
     if not ON_GPU:
         shares = sorted(share_outside_networks(trainer, next(iterations)) for _ in range(rounds))
         benchmark.extra_info["share_outside_networks"] = round(shares[rounds // 2], 3)
+    benchmark.extra_info["precision"] = str(trainer.extractor.precision).removeprefix("torch.")
     benchmark.extra_info["threads"] = torch.get_num_threads()

@@ -30,17 +30,19 @@ FINE_TUNING = FineTuneConfig(
 )
 
 
-def train(config: FullTrainingConfig, folder: Path, count: int = 8) -> FullTrainer:
-    trainer, curve = train_with_curve(config, folder, count)
+def train(
+    config: FullTrainingConfig, folder: Path, count: int = 8, precision: torch.dtype = torch.float32
+) -> FullTrainer:
+    trainer, curve = train_with_curve(config, folder, count, precision)
     assert [row["iteration"] for row in curve.rows] == list(range(2, config.iterations + 1, 2))
     return trainer
 
 
-def train_with_curve(config: FullTrainingConfig, folder: Path, count: int = 8) -> tuple[FullTrainer, Curve]:
-    images, _ = photographs(count)
-    return train_full(
-        config, images, MEMORY, tiny_extractor(), base_mesh(), tiny_scenes(), 0, Checkpoint(folder, "key")
-    )
+def train_with_curve(
+    config: FullTrainingConfig, folder: Path, count: int = 8, precision: torch.dtype = torch.float32
+) -> tuple[FullTrainer, Curve]:
+    (images, _), extractor = photographs(count), tiny_extractor().to(precision)
+    return train_full(config, images, MEMORY, extractor, base_mesh(), tiny_scenes(), 0, Checkpoint(folder, "key"))
 
 
 def state(trainer: FullTrainer) -> dict[str, Tensor]:
@@ -53,11 +55,21 @@ def state(trainer: FullTrainer) -> dict[str, Tensor]:
     }
 
 
-@pytest.mark.parametrize("config", [TRAINING, SINGLE_STAGE, replace(TRAINING, first_poses=None)])
-def test_interrupted_training_ends_with_the_same_bytes(config: FullTrainingConfig, tmp_path: Path) -> None:
-    whole = state(train(config, tmp_path / "whole"))
-    train(replace(config, iterations=2), tmp_path / "halves")
-    halves = state(train(config, tmp_path / "halves"))
+@pytest.mark.parametrize(
+    ("config", "precision"),
+    [
+        (TRAINING, torch.float32),
+        (TRAINING, torch.bfloat16),
+        (SINGLE_STAGE, torch.float32),
+        (replace(TRAINING, first_poses=None), torch.float32),
+    ],
+)
+def test_interrupted_training_ends_with_the_same_bytes(
+    config: FullTrainingConfig, precision: torch.dtype, tmp_path: Path
+) -> None:
+    whole = state(train(config, tmp_path / "whole", precision=precision))
+    train(replace(config, iterations=2), tmp_path / "halves", precision=precision)
+    halves = state(train(config, tmp_path / "halves", precision=precision))
     assert whole.keys() == halves.keys()
     assert [name for name in whole if not torch.equal(whole[name], halves[name])] == []
 

@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[2]
 
 TINY: dict[str, Any] = {
     "device": "cpu",
+    "precision": "bfloat16",  # wherever the tests run; unit tests have float32
     "prepare_data": {"toybox": {"train_count": 16, "test_count": 4, "photograph": {"supersampling": 2}}},
     "train_features": {
         "method": "rotation",

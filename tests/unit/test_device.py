@@ -13,7 +13,7 @@ from pipeline.errors import ConfigError
 FAULTS = """
 import resource, sys, torch
 if sys.argv[1:]:
-    from pipeline.device import resolve_device, resolve_precision
+    from pipeline.device import resolve_device
     resolve_device("cpu")
 
 def large_tensors(): [torch.ones(2**24) for _ in range(5)]
@@ -38,18 +38,25 @@ def test_a_missing_gpu_is_an_error() -> None:
         resolve_device("cuda")
 
 
-@pytest.mark.parametrize(("fast", "expected"), [(True, torch.bfloat16), (False, torch.float32)])
-def test_precision_is_what_the_device_multiplies_fast(
-    fast: bool, expected: torch.dtype, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("torch.cpu._is_avx512_bf16_supported", lambda: fast)
-    monkeypatch.setattr("torch.cpu._is_amx_tile_supported", lambda: False)
+@pytest.mark.parametrize(("avx512", "amx"), [(True, False), (False, True), (False, False)])
+def test_precision_is_what_the_device_multiplies_fast(avx512: bool, amx: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("torch.cpu._is_avx512_bf16_supported", lambda: avx512)
+    monkeypatch.setattr("torch.cpu._is_amx_tile_supported", lambda: amx)
+    expected = torch.bfloat16 if avx512 or amx else torch.float32
     device = torch.device("cpu")
     assert resolve_precision("auto", device) == expected
     assert resolve_precision("float32", device) == torch.float32
     assert resolve_precision("bfloat16", device) == torch.bfloat16
     with pytest.raises(ConfigError, match="precision is 'half'; expected auto, float32 or bfloat16"):
         resolve_precision("half", device)
+
+
+@pytest.mark.parametrize(("capability", "expected"), [((7, 5), torch.float32), ((8, 0), torch.bfloat16)])
+def test_gpus_multiply_bfloat16_faster_from_capability_8(
+    capability: tuple[int, int], expected: torch.dtype, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.get_device_capability", lambda _: capability)
+    assert resolve_precision("auto", torch.device("cuda")) == expected
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="only glibc's allocator can be told so")
