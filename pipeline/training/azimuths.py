@@ -206,20 +206,32 @@ def judge(
 
     Regressed are the first Fourier coefficients of the probabilities; a mirror image has those of the negated azimuth.
     """
-    count = len(probabilities)
     azimuths = bins(probabilities.device)[:, None] * torch.arange(1, _HARMONICS + 1, device=probabilities.device)
     waves = torch.cat([azimuths.cos(), azimuths.sin()], 1)
     targets = torch.stack([probabilities, mirrored(probabilities)]) @ waves
+    here, there = regress_held_out(features, targets, ridge, folds, rng) @ waves.T
+    return here + mirrored(there)
+
+
+def regress_held_out(
+    features: Float[Tensor, "2 N components"],
+    targets: Float[Tensor, "2 N K"],
+    ridge: float,
+    folds: int,
+    rng: torch.Generator,
+) -> Float[Tensor, "2 N K"]:
+    """Return what ridge regressions, fitted to the other folds, say of photographs and of their mirror images.
+
+    They have no constant and are fitted to both images, which are in the same one of the random folds.
+    """
     penalty = ridge * features.var() * torch.eye(features.shape[2], device=features.device)
-    fold = torch.randperm(count, generator=rng, device=rng.device) % folds
-    scores = torch.zeros_like(probabilities)
+    fold = torch.randperm(features.shape[1], generator=rng, device=rng.device) % folds
+    said = torch.zeros_like(targets)
     for held_out in range(folds):
-        seen, judged = features[:, fold != held_out].flatten(0, 1), features[:, fold == held_out]
-        wanted = targets[:, fold != held_out].flatten(0, 1)
+        seen, wanted = (values[:, fold != held_out].flatten(0, 1) for values in (features, targets))
         weights = torch.linalg.solve(seen.T @ seen / len(seen) + penalty, seen.T @ wanted / len(seen))
-        here, there = judged @ weights @ waves.T
-        scores[fold == held_out] = here + mirrored(there)
-    return scores
+        said[:, fold == held_out] = features[:, fold == held_out] @ weights
+    return said
 
 
 def _agreements(first: Float[Tensor, "N azimuths"], second: Float[Tensor, "N azimuths"]) -> Float[Tensor, " azimuths"]:

@@ -28,13 +28,11 @@ from torch.nn import functional
 from pipeline.errors import ConfigError
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.pose_coordinates import PoseCoordinates
-from pipeline.training.azimuths import AZIMUTHS, judge, paintless_features
+from pipeline.training.azimuths import AZIMUTHS, judge, paintless_features, regress_held_out
 from pipeline.training.first_poses import cut_to_box
 
 _FEWEST = 50
 """Photographs of sides below which no clusters can be told."""
-_CONSISTENCY = 2.0
-"""How much what features say of an axis counts beside its record."""
 _SHARPNESS = 1.2
 """Of beliefs: a score of typical size is believed by tanh(1.2) = .83."""
 
@@ -53,6 +51,8 @@ class EndsConfig:
     """Principal components of the features."""
     repainting_floor: float
     """Added to the variances under repainting, as a part of their mean."""
+    consistency: float
+    """How much what features say of an axis counts beside its record."""
     side_reach: float
     """Slant up to which an object counts as seen from the side, in degrees."""
     reach: float
@@ -125,14 +125,9 @@ def consistent_axes(
     mirror = axis.new_tensor([1.0, -1.0])
     targets = torch.stack([axis, axis * mirror])
     mean = targets.mean(dim=(0, 1))
-    said = torch.zeros_like(axis)
-    fold = torch.randperm(len(axis), generator=rng, device=rng.device) % config.folds
-    for held_out in range(config.folds):
-        fitted, judged = fold != held_out, fold == held_out
-        weights = _fit(features[:, fitted].flatten(0, 1), (targets[:, fitted] - mean).flatten(0, 1), config.ridge)
-        here, there = features[:, judged] @ weights + mean
-        said[judged] = (here + there * mirror) / 2
-    cosine, sine = (axis + _CONSISTENCY * said).unbind(1)
+    here, there = regress_held_out(features, targets - mean, config.ridge, config.folds, rng) + mean
+    said = (here + there * mirror) / 2
+    cosine, sine = (axis + config.consistency * said).unbind(1)
     angle = torch.atan2(sine, cosine) / 2
     consistent = torch.stack([angle.cos(), angle.sin()], 1)
     return torch.where((consistent * turn).sum(dim=1, keepdim=True) < 0, -consistent, consistent)

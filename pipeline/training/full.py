@@ -164,22 +164,12 @@ class FullTrainer:
             agree([poses])
         self.record = Record(poses, self.record.shape)
 
-    def turn_told(self, config: EndsConfig) -> Bool[Tensor, " N"]:
-        """Turn recorded poses of the first photographs that show the opposite ends; tell which are now sure."""
-        images, poses, model = self.photographs.images[: config.photographs], self.record.pose, self.model
-        read = read_poses(model, images)
-        told = tell_ends(images, poses[: len(read)], read, model.poses, self.extractor, config, self.rng)
-        agree([told])
-        told = functional.pad(told, (0, len(poses) - len(told)))
-        self.record = Record(torch.where(told[:, None] < 0, flipped(poses, 1)[0], poses), self.record.shape)
-        return (told != 0) & (self.visits > 0)
-
     def turn_round(self, config: EndsConfig) -> None:
         """Turn recorded poses of photographs that show the opposite ends, and let the pose networks learn them.
 
         Photographs beyond the first, or without a visit, show the ends that the networks then read off them.
         """
-        surely = self.turn_told(config)
+        surely = self._turn_told(config)
         if not surely.any():
             return
         poses = self.record.pose
@@ -194,6 +184,16 @@ class FullTrainer:
         index = self.visits.nonzero().flatten()
         if len(index):
             self._learn(index, self.record.pose)
+
+    def _turn_told(self, config: EndsConfig) -> Bool[Tensor, " N"]:
+        """Turn recorded poses of the first photographs that show the opposite ends; tell which are now sure."""
+        images, poses, model = self.photographs.images[: config.photographs], self.record.pose, self.model
+        read = read_poses(model, images)
+        told = tell_ends(images, poses[: len(read)], read, model.poses, self.extractor, config, self.rng)
+        agree([told])
+        told = functional.pad(told, (0, len(poses) - len(told)))
+        self.record = Record(torch.where(told[:, None] < 0, flipped(poses, 1)[0], poses), self.record.shape)
+        return (told != 0) & (self.visits > 0)
 
     def _learn(self, index: Int[Tensor, " P"], poses: Float[Tensor, "N 7"]) -> None:
         learn_poses(self.model, self.photographs.images, index, poses[index], self.config.lessons, self.rng)

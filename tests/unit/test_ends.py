@@ -21,6 +21,7 @@ CONFIG = EndsConfig(
     box_size=0.85,
     components=32,
     repainting_floor=0.3,
+    consistency=2.0,
     side_reach=22.0,
     reach=75.0,
     rounds=20,
