@@ -49,7 +49,7 @@ def divide_seeds(out: Path) -> None:
 
     def learn(index: int) -> float:
         trainer = SeedTrainer(config, sphere, photographs, extractor, 0, index)
-        return [trainer.step()["reconstruction"] for _ in range(STEPS)][-1].item()
+        return [trainer.step(iteration)["reconstruction"] for iteration in range(STEPS)][-1].item()
 
     divide(lambda _: SeedTrainer(config, sphere, photographs, extractor, 1, 0).step(), 2)
     start = perf_counter()

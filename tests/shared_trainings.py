@@ -77,7 +77,7 @@ def _base_shape() -> dict[str, Tensor]:
     config, extractor = test_base_shape.CONFIG, tiny_extractor()
     real = Photographs(images[:, :, ::2, ::2], extractor, 4, MEMORY)
     trainer = SeedTrainer(config, build_sphere(config.subdivisions, torch.device("cpu")), real, extractor, 0, 0)
-    losses = [*trainer.step().values(), *trainer.step().values(), trainer.score()]
+    losses = [*trainer.step(0).values(), *trainer.step(1).values(), trainer.score()]
     return {**_weights("base", trainer.scene), "base.losses": torch.tensor(losses), "base.shape": trainer.shape()}
 
 

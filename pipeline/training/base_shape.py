@@ -26,6 +26,7 @@ from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, pack, read_losses, unpack
 from pipeline.training.curves import Curve
 from pipeline.training.photographs import Photographs
+from pipeline.training.schedule import falling, set_learning_rate
 from pipeline.training.viewpoints import LightConfig, ViewpointConfig, sample_lights, sample_viewpoints
 
 
@@ -34,6 +35,7 @@ class BaseShapeConfig:
     """Settings of base-shape learning.
 
     Attributes:
+        cool_down: the last iterations, over which the learning rate falls to zero; the paper has none.
         seeds: how many base shapes are learned; a label-free score picks one.
         reconstruction_balance: lambda_rec, the share of the Chamfer distance against feature matching.
         colors: size of the texture palette, N_c.
@@ -49,6 +51,7 @@ class BaseShapeConfig:
     seeds: int
     learning_rate: float
     betas: tuple[float, float]
+    cool_down: int
     reconstruction_balance: float
     colors: int
     initial_dimensions: tuple[float, float, float]
@@ -157,15 +160,17 @@ class SeedTrainer:
         losses["reconstruction"] = balance * losses["chamfer"] + (1 - balance) * losses["feature_matching"]
         return losses
 
-    def step(self) -> dict[str, Float[Tensor, ""]]:
+    def step(self, iteration: int) -> dict[str, Float[Tensor, ""]]:
         """Take one optimisation step and return its losses, on the device."""
+        config = self.config
         self.scene.train()
-        scene, images = self.generate(self.config.batch_size)
+        scene, images = self.generate(config.batch_size)
         losses = self.reconstruction_loss(images)
         total = losses["reconstruction"]
-        if self.config.constraints.smoothness:
-            losses["smoothness"] = smoothness(scene.vertices, self.sphere.topology, self.config.smoothness).mean()
+        if config.constraints.smoothness:
+            losses["smoothness"] = smoothness(scene.vertices, self.sphere.topology, config.smoothness).mean()
             total = total + losses["smoothness"]
+        set_learning_rate(falling(config.learning_rate, iteration, config.iterations, config.cool_down), self.optimizer)
         self.optimizer.zero_grad(set_to_none=True)
         total.backward()
         average_gradients(self.optimizer)
@@ -237,7 +242,7 @@ def _train(trainer: SeedTrainer, checkpoint: Checkpoint) -> Curve:
         curve, first = Curve(values["rows"]), values["iteration"]
     steps = range(first, config.iterations)
     for iteration in tqdm(steps, f"seed {trainer.index}", initial=first, total=config.iterations, disable=silent()):
-        unread.append(trainer.step())
+        unread.append(trainer.step(iteration))
         if (iteration + 1) % config.checkpoint_every == 0 or iteration + 1 == config.iterations:
             for number, losses in enumerate(read_losses(unread, iteration), iteration + 1 - len(unread)):
                 curve.append(number, seed=trainer.index, **losses)

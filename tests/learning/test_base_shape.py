@@ -24,6 +24,7 @@ CONFIG = BaseShapeConfig(
     seeds=2,
     learning_rate=1e-3,
     betas=(0.5, 0.99),
+    cool_down=2,
     reconstruction_balance=0.9,
     colors=2,
     initial_dimensions=(0.5, 0.5, 1.0),
@@ -67,11 +68,11 @@ def test_a_killed_run_resumes_to_the_same_bytes(
     whole = learn(tmp_path / "whole", images, extractor, CONFIG)
     step, taken = SeedTrainer.step, list[int]()
 
-    def killed(trainer: SeedTrainer) -> dict[str, torch.Tensor]:
+    def killed(trainer: SeedTrainer, iteration: int) -> dict[str, torch.Tensor]:
         taken.append(trainer.index)
         if taken == [0, 0, 0, 0, 1, 1, 1, 1]:
             raise KeyboardInterrupt
-        return step(trainer)
+        return step(trainer, iteration)
 
     monkeypatch.setattr(SeedTrainer, "step", killed)
     with pytest.raises(KeyboardInterrupt):

@@ -121,10 +121,10 @@ def test_an_iteration_of_base_shape_learning_waits_for_nothing(monkeypatch: pyte
     images = photographs(4)[0][..., ::2, ::2].to(DEVICE)
     features = Photographs(images, extractor, 4, memory=2**30)
     trainer = SeedTrainer(config, build_sphere(config.subdivisions, DEVICE), features, extractor, 0, 0)
-    trainer.step()
+    trainer.step(0)
     draw_with_triton(monkeypatch)
     with no_waits():
-        losses = trainer.step()
+        losses = trainer.step(1)
     assert all(loss.isfinite() for loss in losses.values())
 
 
