@@ -51,7 +51,7 @@ def divide_seeds(out: Path) -> None:
         trainer = SeedTrainer(config, sphere, photographs, extractor, 0, index)
         return [trainer.step(iteration)["reconstruction"] for iteration in range(STEPS)][-1].item()
 
-    divide(lambda _: SeedTrainer(config, sphere, photographs, extractor, 1, 0).step(), 2)
+    divide(lambda _: SeedTrainer(config, sphere, photographs, extractor, 1, 0).step(0), 2)
     start = perf_counter()
     _write(out, start, divide(learn, 2))
 
