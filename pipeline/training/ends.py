@@ -4,9 +4,8 @@ The records hold axes and boxes, but which end of its axis a photograph shows is
 builds apart, not ends (a van's ends are both steep, a saloon's both low). What changes sign in the mirror knows nothing
 of build and paint, and what it says of the way objects face depends on how they were photographed:
 
-- Both ends equally often. Cars seen from the side face left or right, so there it has two clusters, one the mirror
-  image of the other. From the sides a regression spreads what it has learned to ever more oblique views, and what it
-  says there of the photographs it was not fitted to replaces what was believed.
+- Both ends equally often. Once all that goes with the slant of their axes is taken off, the way objects face is what
+  varies most of it among views from the side, and spreads from there to ever more oblique ones.
 - Mostly one end, as people show the fronts of cars. Then the ends that records tell at oblique views are builds, and
   to take all of them for the preferred end is right more often. The end nearer to the camera is the one an object faces
   with, so oblique views tell a regression which way they face, and it tells which way sides do.
@@ -32,9 +31,11 @@ from pipeline.training.azimuths import AZIMUTHS, judge, paintless_features, regr
 from pipeline.training.first_poses import cut_to_box
 
 _FEWEST = 50
-"""Photographs of sides below which no clusters can be told."""
+"""Photographs of sides below which the way they face cannot be told."""
 _SHARPNESS = 1.2
 """Of beliefs: a score of typical size is believed by tanh(1.2) = .83."""
+_SLANT_HARMONICS = 4
+_FACING_HARMONICS = 3
 
 
 @dataclass(frozen=True)
@@ -54,11 +55,9 @@ class EndsConfig:
     consistency: float
     """How much what features say of an axis counts beside its record."""
     side_reach: float
-    """Slant up to which an object counts as seen from the side, in degrees."""
-    reach: float
-    """Slant, in degrees, up to which ends shown equally often are told before the last regression; 90 is the axis."""
+    """Slant up to which an object counts as seen from the side, in degrees; 90 is the axis."""
     rounds: int
-    """In which the regression spreads from the sides to `reach`."""
+    """In which ends shown equally often are told from the sides to the axis."""
     ridge: float
     """Penalty of the regressions, as a part of a coefficient's mean variance."""
     folds: int
@@ -88,8 +87,8 @@ def tell_ends(
     """Return whether photographs show the ends that their recorded pose coordinates say: positive if so, else negative.
 
     Boxes, elevations and rolls are the means of the recorded ones and of those that networks read. 0 everywhere where
-    too few photographs show sides. Where both ends are shown equally often it is not known which of the two clusters
-    faces left: the coordinates of the majority are taken to be right.
+    too few photographs show sides. Where both ends are shown equally often it is not known which way of facing is left:
+    the coordinates of the majority are taken to be right.
     """
     coordinates = torch.cat([recorded[:, :2], (recorded[:, 2:] + read[:, 2:]) / 2], 1)
     images = cut_to_box(photographs / 255, poses, coordinates, config.box_size, poses.roll(coordinates))
@@ -140,30 +139,43 @@ def facing(
     config: EndsConfig,
     rng: torch.Generator,
 ) -> Float[Tensor, " N"]:
-    """Split objects by the way they face, from -1 to 1, up to a common sign; 0 beyond the reach of the config.
+    """Split objects by the way they face, from -1 to 1, up to a common sign.
 
-    `odd` changes its sign in the mirror, as do the slant (radians; 0 is a side view) and all `others` that are known
-    of a picture. They are taken off first, at the sides and then in every round, or the split would follow them.
+    `odd` changes its sign in the mirror, as do the slant (radians; 0 is a side view) and all `others` that are known of
+    a picture. What is left is split by its leading component at the sides, and from there by its mean over those
+    already split, which changes smoothly with the slant, each time for photographs of the other folds.
     """
-    known = torch.cat([torch.stack([slant, slant**3, slant**5], 1), others], 1)
-    first, last = math.radians(config.side_reach), math.radians(config.reach)
-    belief, seen = torch.zeros_like(slant), slant.abs() <= first
-    belief[seen] = (_SHARPNESS * _two_clusters(odd[seen] - known[seen] @ _fit(known[seen], odd[seen]))).tanh()
-    powers = torch.stack([(slant / last) ** power for power in (0, 2, 4)], 1)
+    rest = without_slant(odd, slant, others)
+    shown = (rest[:, :, None] * _harmonics(slant, range(_FACING_HARMONICS)).cos()[:, None]).flatten(1)
+    first = math.radians(config.side_reach)
+    seen, belief = slant.abs() <= first, torch.zeros_like(slant)
+    belief[seen] = (_SHARPNESS * _leading_component(rest[seen])).tanh()
     fold = torch.randperm(len(slant), generator=rng, device=rng.device) % config.folds
-    for reach in torch.linspace(first, last, config.rounds).tolist():
+    for reach in torch.linspace(first, math.pi / 2, config.rounds).tolist():
         within, scores = slant.abs() <= reach, torch.zeros_like(slant)
         for held_out in range(config.folds):
             fitted, judged = seen & (fold != held_out), within & (fold == held_out)
-            effect = _fit(known[fitted], odd[fitted])
-            design, of_judged = (
-                ((odd[rows] - known[rows] @ effect)[:, :, None] * powers[rows, None]).flatten(1)
-                for rows in (fitted, judged)
-            )
-            weights = _fit(design, belief[fitted, None], config.ridge)[:, 0]
-            scores[judged] = of_judged @ weights / (design @ weights).abs().mean()
-        belief, seen = torch.where(within, (_SHARPNESS * scores).tanh(), 0), within
+            mean = belief[fitted] @ shown[fitted]
+            scores[judged] = shown[judged] @ mean / (shown[fitted] @ mean).abs().mean()
+        belief, seen = (_SHARPNESS * scores).tanh(), within
     return belief
+
+
+def without_slant(
+    odd: Float[Tensor, "N C"], slant: Float[Tensor, " N"], others: Float[Tensor, "N K"]
+) -> Float[Tensor, "N C"]:
+    """Take off what slants (radians) and others explain, and mostly the directions in which slants change features.
+
+    Slants are not known exactly: what is left of their effect may vary more than the way objects face. A direction
+    counts as much as slants change it compared with how much features vary without them.
+    """
+    turns = _harmonics(slant, range(1, _SLANT_HARMONICS + 1)).sin()
+    known = torch.cat([turns, others], 1)
+    effects = _fit(known, odd)
+    rest = odd - known @ effects
+    changes = effects[:_SLANT_HARMONICS] * turns.std(dim=0)[:, None]
+    variation = rest.square().mean() * torch.eye(len(changes), device=rest.device)
+    return rest - rest @ changes.T @ torch.linalg.solve(changes @ changes.T + variation, changes)
 
 
 def facing_with_preferred_end(
@@ -189,7 +201,12 @@ def opposite_bins(azimuth: Float[Tensor, " N"]) -> tuple[Float[Tensor, "N azimut
     return seen, seen.roll(AZIMUTHS // 2, dims=1)
 
 
-def _two_clusters(values: Float[Tensor, "N C"]) -> Float[Tensor, " N"]:
+def _harmonics(slant: Float[Tensor, " N"], orders: range) -> Float[Tensor, "N K"]:
+    """Return multiples of twice the slant: the axis is the same seen from either of its ends."""
+    return 2 * slant[:, None] * torch.tensor(list(orders), device=slant.device)
+
+
+def _leading_component(values: Float[Tensor, "N C"]) -> Float[Tensor, " N"]:
     """Return the leading principal component, in standard deviations."""
     return torch.linalg.svd(values, full_matrices=False).U[:, 0] * math.sqrt(len(values))
 
