@@ -108,7 +108,7 @@ def _ends() -> dict[str, Tensor]:
     config, extractor = replace(TRAINING, lessons=replace(TRAINING.lessons, iterations=1)), tiny_extractor()
     trainer = FullTrainer(config, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
     trainer.record, trainer.visits = Record(poses, trainer.record.shape), trainer.visits + 1
-    trainer.turn_round(EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 75.0, 85.0, 3, 4.0, 2, 60))
+    trainer.turn_round(EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 75.0, 3, 4.0, 2, 60))
     return {**_weights("ends", trainer.model), "ends record": trainer.record.pose}
 
 

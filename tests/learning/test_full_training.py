@@ -77,7 +77,7 @@ def test_interrupted_training_ends_with_the_same_bytes(
 def test_training_that_dies_after_telling_ends_resumes_to_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ends = EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 60.0, 85.0, 3, 4.0, 2, 1000)
+    ends = EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 1000)
     config = replace(TRAINING, first_poses=None, ends=ends, photographs_per_iteration=40.0)
     count, step = 80, FullTrainer.step
     whole = state(train(config, tmp_path / "whole", count))
@@ -108,7 +108,7 @@ def test_ends_are_turned_as_told_and_elsewhere_as_read(monkeypatch: pytest.Monke
     read = torch.where(read_as_recorded[:, None], before, flipped(before, 1)[0])
     monkeypatch.setattr("pipeline.training.full.tell_ends", lambda images, *_: told[: len(images)])
     monkeypatch.setattr("pipeline.training.full.read_poses", lambda *_: read)
-    trainer.turn_round(EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 60.0, 85.0, 3, 4.0, 2, 8))
+    trainer.turn_round(EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 8))
     turned = (trainer.record.pose[:, :2] * before[:, :2]).sum(dim=1) < 0
     assert turned.nonzero().flatten().tolist() == [1, 3, 6, 7, 9, 11]
     torch.testing.assert_close(trainer.record.pose[:, 2:], before[:, 2:])
@@ -117,7 +117,7 @@ def test_ends_are_turned_as_told_and_elsewhere_as_read(monkeypatch: pytest.Monke
 def test_ends_told_after_training_are_learned_in_the_last_lessons(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ends = EndsConfig("equally", (1.0,), 0.85, 8, 0.3, 2.0, 60.0, 85.0, 3, 4.0, 2, 1000)
+    ends = EndsConfig("equally", (1.0,), 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 1000)
     lessons: list[Tensor] = []
     monkeypatch.setattr("pipeline.training.full.learn_poses", lambda *given: lessons.append(given[3]))
     untold = train(TRAINING, tmp_path / "untold")
@@ -134,7 +134,7 @@ def test_ends_told_after_training_are_learned_in_the_last_lessons(
 def test_ends_are_told_when_the_config_says(
     after: tuple[float, ...] | None, steps: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ends = None if after is None else EndsConfig("equally", after, 0.85, 8, 0.3, 2.0, 60.0, 85.0, 3, 4.0, 2, 1000)
+    ends = None if after is None else EndsConfig("equally", after, 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 1000)
     step, done, told = FullTrainer.step, [], []
     monkeypatch.setattr(FullTrainer, "step", lambda self, i: (done.append(i), step(self, i))[1])
     monkeypatch.setattr(FullTrainer, "turn_round", lambda *_: told.append(len(done)))
