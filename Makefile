@@ -14,7 +14,7 @@ export OMP_WAIT_POLICY := PASSIVE
 repro: $(STAMP)  ## run the pipeline: by default the toybox car, from pictures to a page
 	dvc repro
 
-run: $(if $(BASELINE),$(TOOLS),$(STAMP))  ## turn a row of the paper on and run it: ROW= SIZE=laptop|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASELINE=
+run: $(if $(BASELINE),$(TOOLS),$(STAMP))  ## turn a row of the paper on and run it: ROW= SIZE=laptop|laptop-coarse|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASELINE=
 	python -m stages.run_row $(foreach option,ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASELINE,$(if $($(option)),--$(shell echo $(option) | tr A-Z a-z) "$($(option))"))
 
 test: $(TOOLS)  ## the whole test suite
