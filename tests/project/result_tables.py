@@ -152,6 +152,18 @@ TABLES: dict[str, Table | Confusion] = {
             "fine-tuned distance": "reconstruction.tuned.feature_distance",
         },
     ),
+    "sizes": Table(
+        "",
+        r"toybox-car(-laptop-coarse)?",
+        {
+            "base-shape IoU": "shape.base.voxel_iou",
+            "shape IoU": "shape.test.voxel_iou",
+            "mask IoU": "shape.test.mask_iou",
+            "fine-tuned mask IoU": "shape.test_tuned.mask_iou",
+            "acc_pi/6 predicted": "pose.test.acc_pi6",
+            "turned by 180°": "pose.test.flipped",
+        },
+    ),
     "ablations-stanford-car": Table(
         "",
         r"stanford-car(-no-.*)?",
