@@ -64,20 +64,22 @@ def test_facing_is_told_where_slants_are_known_roughly() -> None:
 
 
 @pytest.mark.parametrize("preferred", [1, -1])
-def test_sides_face_as_oblique_views_of_the_preferred_end_do(preferred: int) -> None:
+@pytest.mark.parametrize("strength", [0.5, 6])
+def test_sides_face_as_oblique_views_of_the_preferred_end_do(preferred: int, strength: float) -> None:
     nearer_left, rng = slants(COUNT), generator(4)  # the left end is nearer at positive slants
-    shows_preferred = torch.rand(COUNT, generator=rng) < 0.9
-    truth = nearer_left.sign() * torch.where(shows_preferred, 1, -1)
     side = nearer_left.abs() <= math.radians(CONFIG.side_reach)
-    truth[side] = torch.randint(2, (int(side.sum()),), generator=rng) * 2.0 - 1
+    shows_preferred = torch.rand(COUNT, generator=rng) < torch.where(side, 0.65, 0.9)
+    truth = nearer_left.sign() * torch.where(shows_preferred, 1, -1)
     # All sides are recorded the wrong way round, two thirds of the other views with the preferred end.
     recorded = torch.where(torch.rand(COUNT, generator=rng) < 0.67, 1, -1) * nearer_left.sign() * preferred
     recorded[side] = -truth[side] * preferred
-    odd = odd_features(truth, nearer_left, torch.zeros(COUNT), strength=0.5)
-    slant = -recorded * nearer_left
-    belief = facing_with_preferred_end(recorded[:, None] * odd, slant, replace(CONFIG, shown="mostly_one"))
-    told = belief * recorded * preferred
-    assert (told == truth)[side].float().mean() > 0.9
+    roll = 0.2 * torch.randn(COUNT, generator=rng)
+    odd = odd_features(truth, nearer_left, roll, strength)
+    slant, others = -recorded * nearer_left, (recorded * roll)[:, None]
+    config = replace(CONFIG, shown="mostly_one")
+    belief = facing_with_preferred_end(recorded[:, None] * odd, slant, others, config, generator(6))
+    told = (belief * recorded * preferred).sign()
+    assert (told == truth)[side].float().mean() > 0.95
     assert torch.equal(told[~side], nearer_left[~side].sign())
 
 
