@@ -8,9 +8,9 @@ axes is taken off, and this splits them in two. The rest depends on how they wer
 - Both ends equally often. Then slants say nothing of the way objects face, and the split spreads from the sides to ever
   more oblique views.
 - Mostly one end, as people show the fronts of cars. Then the ends that records tell at oblique views are builds, and
-  to take all of them for the preferred end is right more often. The end nearer to the camera is the one an object faces
-  with, so oblique views tell what facing looks like apart from what slants look like, and which half of the split sides
-  faces which way.
+  to take all of them for the preferred end is right more often. Which one that is say records of views along the axis,
+  and which half of the sides faces which way the records of sides: at oblique views the nearer end looks taller, and
+  that is what the taller end of a shape explains as well.
 
 Near-by azimuths differ by more than the two ends do, so recorded axes are made consistent with each other first.
 What all photographs show, those along the axis too, is judged by a last regression, of the azimuths that follow, on all
@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import torch
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional
 
@@ -40,8 +40,8 @@ _SLANT_HARMONICS = 4
 """Of how slants change features, over all slants."""
 _FACING_HARMONICS = 3
 """Of how slants change what tells the way objects face, over all slants."""
-_NEAR_HARMONICS = 2
-"""Of either, up to twice the slant of sides."""
+_SIDE_HARMONICS = 2
+"""Of how slants change features, over those of sides."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,9 @@ class EndsConfig:
     consistency: float
     """How much what features say of an axis counts beside its record."""
     side_reach: float
-    """Slant up to which an object counts as seen from the side, in degrees; 90 is the axis."""
+    """Slant up to which an object counts as seen from the side, in degrees, and as far from 90 as along its axis."""
     rounds: int
-    """In which the split of the sides is made consistent, where ends are shown equally often while it spreads."""
+    """In which ends shown equally often are told from the sides to the axis."""
     ridge: float
     """Penalty of the regressions, as a part of a coefficient's mean variance."""
     folds: int
@@ -107,8 +107,10 @@ def tell_ends(
         return torch.zeros_like(slant)
     roll = torch.where(to_the_right, -1, 1) * poses.roll(coordinates)[:, None]
     others = torch.cat([slant[:, None] * coordinates[:, 2:3], roll], 1)
-    tell = facing if config.shown == "equally" else facing_with_preferred_end
-    belief = tell(odd, slant, others, config, rng)
+    if config.shown == "equally":
+        belief = facing(odd, slant, others, config, rng)
+    else:
+        belief = facing_with_preferred_end(odd, slant, others, config)
     seen, opposite = opposite_bins(torch.atan2(turn[:, 1], turn[:, 0]))
     probabilities = ((1 + belief) * seen.T + (1 - belief) * opposite.T).T / 2
     scores = judge(features, probabilities, config.ridge, config.folds, rng)
@@ -177,68 +179,28 @@ def without_slant(
     turns = _harmonics(slant, range(1, _SLANT_HARMONICS + 1)).sin()
     known = torch.cat([turns, others], 1)
     effects = _fit(known, odd)
-    return _without_directions(odd - known @ effects, effects[:_SLANT_HARMONICS] * turns.std(dim=0)[:, None])
+    rest = odd - known @ effects
+    changes = effects[:_SLANT_HARMONICS] * turns.std(dim=0)[:, None]
+    variation = rest.square().mean() * torch.eye(len(changes), device=rest.device)
+    return rest - rest @ changes.T @ torch.linalg.solve(changes @ changes.T + variation, changes)
 
 
 def facing_with_preferred_end(
-    odd: Float[Tensor, "N C"],
-    slant: Float[Tensor, " N"],
-    others: Float[Tensor, "N K"],
-    config: EndsConfig,
-    rng: torch.Generator,
+    odd: Float[Tensor, "N C"], slant: Float[Tensor, " N"], others: Float[Tensor, "N K"], config: EndsConfig
 ) -> Float[Tensor, " N"]:
-    """Return whether objects face as recorded, from -1 to 1, if all oblique views show the end that most do.
+    """Return whether objects face as recorded, from -1 to 1, if all oblique views show one end.
 
-    Arguments are as in `facing`, the slant positive where the recorded rear is nearer. The leading component splits the
-    sides. Which half faces which way, and what slants do to features, say the oblique views up to twice the slant of
-    sides: either answer is made consistent with them, and the one that fewer sides have to change for is returned.
+    Arguments are as in `facing`, the slant positive where the recorded rear is nearer. The end that oblique views show
+    is the one that most views along the axis are recorded with, and of the two halves of the sides that their leading
+    component splits, most face as recorded.
     """
     reach = math.radians(config.side_reach)
-    side, near = slant.abs() <= reach, slant.abs() <= 2 * reach
-    preferred = slant.sign() * slant[~side].sign().sum().sign()
-    known = torch.cat([_harmonics(slant, range(1, _NEAR_HARMONICS + 1)).sin(), others], 1)
-    split = torch.zeros_like(slant)
-    split[side] = _leading_component(odd[side] - known[side] @ _fit(known[side], odd[side]))
-    fold = torch.randperm(len(slant), generator=rng, device=rng.device) % config.folds
-    answers = []
-    for start in (split, -split):
-        belief = torch.where(side, (_SHARPNESS * start).tanh(), preferred)
-        for _ in range(config.rounds):
-            belief = torch.where(side, _confirmed(odd, slant, known, belief, near, fold), preferred)
-        answers.append((float((start * belief).sign().sum()), belief))
-    return max(answers, key=lambda answer: answer[0])[1]
-
-
-def _confirmed(
-    odd: Float[Tensor, "N C"],
-    slant: Float[Tensor, " N"],
-    known: Float[Tensor, "N K"],
-    belief: Float[Tensor, " N"],
-    near: Bool[Tensor, " N"],
-    fold: Int[Tensor, " N"],
-) -> Float[Tensor, " N"]:
-    """Return beliefs of near views that follow from those of the other folds.
-
-    Features are regressed on the beliefs, which count differently at each slant, and on what is known, the slant's
-    harmonics first. What goes with the beliefs alone then judges the others.
-    """
-    shown = _harmonics(slant, range(_NEAR_HARMONICS)).cos()
-    spread = known[near].std(dim=0)
-    scores = torch.zeros_like(slant)
-    for held_out in fold.unique():
-        fitted, judged = near & (fold != held_out), near & (fold == held_out)
-        design = torch.cat([belief[:, None] * shown, known], 1)
-        faces, effects = _fit(design[fitted], odd[fitted]).split([_NEAR_HARMONICS, known.shape[1]])
-        rest = _without_directions(odd - known @ effects, (effects * spread[:, None])[:_NEAR_HARMONICS])
-        score = (rest * (shown @ faces)).sum(dim=1)
-        scores[judged] = score[judged] / score[fitted].abs().mean()
-    return (_SHARPNESS * scores).tanh()
-
-
-def _without_directions(values: Float[Tensor, "N C"], changes: Float[Tensor, "K C"]) -> Float[Tensor, "N C"]:
-    """Take off the directions of changes, each as much as it stands out from the variation of the values."""
-    variation = values.square().mean() * torch.eye(len(changes), device=values.device)
-    return values - values @ changes.T @ torch.linalg.solve(changes @ changes.T + variation, changes)
+    side, along = slant.abs() <= reach, slant.abs() >= math.pi / 2 - reach
+    belief = slant.sign() * slant[along].sign().sum().sign()
+    known = torch.cat([_harmonics(slant, range(1, _SIDE_HARMONICS + 1)).sin(), others], 1)[side]
+    split = _leading_component(odd[side] - known @ _fit(known, odd[side]))
+    belief[side] = (_SHARPNESS * split * split.sign().sum().sign()).tanh()
+    return belief
 
 
 def opposite_bins(azimuth: Float[Tensor, " N"]) -> tuple[Float[Tensor, "N azimuths"], Float[Tensor, "N azimuths"]]:
