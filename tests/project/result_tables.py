@@ -82,10 +82,18 @@ def _sides(degrees: list[str]) -> list[int]:
     return [round(float(azimuth) / 90) % 4 for azimuth in degrees]
 
 
+WHOLE = r"(?!.*(no-|single-stage)).*"
+"""Runs without an ablation, and baselines."""
+CONSISTENCY = {
+    "azimuths read within 30°": "multiview.acc_pi6",
+    "error, °": "multiview.error_degrees",
+    "identity drift": "multiview.identity_drift",
+    "drift of different objects": "multiview.chance.identity_drift",
+}
 TABLES: dict[str, Table | Confusion] = {
     "viewpoints": Table(
         "",
-        r"(?!.*(no-|single-stage)).*",
+        WHOLE,
         {
             "predicted": "pose.test.acc_pi6",
             "fine-tuned": "pose.test_tuned.acc_pi6",
@@ -98,7 +106,7 @@ TABLES: dict[str, Table | Confusion] = {
     ),
     "shapes": Table(
         "",
-        r"(?!.*(no-|single-stage)).*",
+        WHOLE,
         {
             "base shape": "shape.base.voxel_iou",
             "predicted": "shape.test.voxel_iou",
@@ -110,7 +118,7 @@ TABLES: dict[str, Table | Confusion] = {
     ),
     "reconstructions": Table(
         "",
-        r"(?!.*(no-|single-stage)).*",
+        WHOLE,
         {
             "predicted": "reconstruction.predicted.feature_distance",
             "fine-tuned": "reconstruction.tuned.feature_distance",
@@ -118,16 +126,8 @@ TABLES: dict[str, Table | Confusion] = {
             "retrieved by colours": "reconstruction.retrieved.feature_distance",
         },
     ),
-    "multiview": Table(
-        "",
-        r".*",
-        {
-            "azimuths read within 30°": "multiview.acc_pi6",
-            "error, °": "multiview.error_degrees",
-            "identity drift": "multiview.identity_drift",
-            "drift of different objects": "multiview.chance.identity_drift",
-        },
-    ),
+    "consistency": Table("", WHOLE, CONSISTENCY),
+    "consistency-of-all": Table("", r".*", CONSISTENCY),
     "colmap": Table(
         "",
         r".*-colmap",
