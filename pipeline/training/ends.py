@@ -220,8 +220,8 @@ def _leading_component(values: Float[Tensor, "N C"]) -> Float[Tensor, " N"]:
     return torch.linalg.svd(values, full_matrices=False).U[:, 0] * math.sqrt(len(values))
 
 
-def _fit(design: Float[Tensor, "N D"], targets: Float[Tensor, "N K"], ridge: float = 1e-6) -> Float[Tensor, "D K"]:
-    """Return the coefficients of a ridge regression without a constant."""
+def _fit(design: Float[Tensor, "N D"], targets: Float[Tensor, "N K"]) -> Float[Tensor, "D K"]:
+    """Return the coefficients of a regression without a constant."""
     variance = design.T @ design / len(design)
-    penalty = ridge * variance.diagonal().mean() * torch.eye(len(variance), device=design.device)
+    penalty = 1e-6 * variance.diagonal().mean() * torch.eye(len(variance), device=design.device)
     return torch.linalg.solve(variance + penalty, design.T @ targets / len(design))
