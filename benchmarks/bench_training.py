@@ -103,8 +103,7 @@ def _inside(event: FunctionEvent, ranges: list[FunctionEvent]) -> bool:
 def test_full_training_step(benchmark: BenchmarkFixture, size: str) -> None:
     trainer = trainer_of(size)
     rounds = 50 if ON_GPU else 5 if size == "laptop" else 1
-    # After `settle` iterations every kind of candidate is tried.
-    iterations = count(trainer.config.settle)
+    iterations = count(trainer.config.iterations // 2)
 
     def step() -> None:
         trainer.step(next(iterations))

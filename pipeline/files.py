@@ -19,8 +19,8 @@ from pipeline.errors import DataError
 def atomic_path(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path` that becomes `path` when the block ends without an error.
 
-    The block creates a file or a directory there; whatever stood at `path` is replaced in one step. After an error,
-    or a kill, `path` is as it was before: what an earlier kill left behind is removed first.
+    The block creates a file or a directory there. After an error, `path` is as it was before, and after a kill too, but
+    for a directory that was just being replaced, which is missing then. What an earlier kill left is removed first.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".partial-{path.name}")
@@ -35,8 +35,11 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write a value as JSON with sorted keys and a final newline, atomically. Raises ValueError for NaN or infinity."""
-    text = json.dumps(value, indent=2, sort_keys=True, allow_nan=False)
+    """Write a value as JSON with sorted keys and a final newline, atomically. Raises DataError for NaN or infinity."""
+    try:
+        text = json.dumps(value, indent=2, sort_keys=True, allow_nan=False)
+    except ValueError:
+        raise DataError(f"{path} would hold a figure that is not finite; look at the stage's inputs") from None
     with atomic_path(path) as temporary:
         temporary.write_text(text + "\n", encoding="utf-8", newline="\n")
 

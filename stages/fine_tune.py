@@ -25,7 +25,7 @@ def main() -> None:
     memory = resolve_memory(scalar(arguments.params, "memory"))
     precision = resolve_precision(scalar(arguments.params, "precision"), device)
     inputs = [arguments.images, arguments.features, arguments.model]
-    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed, precision))
+    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed, device, precision))
     results = fine_tune(
         config,
         place_images([load_images(arguments.images)], device, memory),
@@ -33,8 +33,8 @@ def main() -> None:
         load_feature_extractor(arguments.features, device, precision),
         checkpoint,
     )
-    save_tensors(arguments.out, results, {})
     write_json(arguments.metrics, summary(results))
+    save_tensors(arguments.out, results, {})
     checkpoint.clear()
 
 

@@ -31,7 +31,7 @@ def learn(arguments: Namespace, device: torch.device) -> None:
     config = load(arguments.params, BaseShapeConfig, arguments.sections)
     memory = resolve_memory(scalar(arguments.params, "memory"))
     precision = resolve_precision(scalar(arguments.params, "precision"), device)
-    key = restart_key(config, [arguments.images, arguments.features], arguments.seed, precision)
+    key = restart_key(config, [arguments.images, arguments.features], arguments.seed, device, precision)
     shapes = learn_base_shape(
         config,
         place_images([load_images_of_size(arguments.images, config.renderer.size)], device, memory),

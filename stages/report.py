@@ -4,7 +4,7 @@ from pathlib import Path
 
 import torch
 
-from pipeline.config import load
+from pipeline.config import load, scalar
 from pipeline.evaluation.artifacts import load_photographs, load_reconstructions
 from pipeline.evaluation.tables import format_figures, read_table
 from pipeline.export.report import ReportConfig, ReportInputs, write_report
@@ -21,6 +21,7 @@ def main() -> None:
     arguments = parse(
         __doc__,
         run=str,
+        dataset=str,
         test_images=Path,
         base_shape=Path,
         model=Path,
@@ -38,12 +39,14 @@ def main() -> None:
     inputs = ReportInputs(
         run=arguments.run,
         photographs=load_photographs(arguments.test_images, reconstructions.test_index),
+        drawn=scalar(arguments.params, f"datasets.{arguments.dataset}.kind") == "toybox",
         reconstructions=reconstructions,
         seeds=base_shape["seed_vertices"],
         seed_faces=base_shape["faces"],
         seed_scores=base_shape["seed_scores"],
         base=model.base_vertices,
         camera=model.config.renderer.camera,
+        framing=model.config.framing,
         figures=read_json(arguments.metrics),
         stage_figures={stage: read_json(getattr(arguments, f"{stage}_metrics")) for stage in STAGES},
         curves={stage: read_table(getattr(arguments, f"{stage}_curve")) for stage in TRAININGS},

@@ -40,7 +40,7 @@ def main() -> None:
     if options.baseline:
         stage = f"evaluate_{options.baseline}"
         turn_on_baseline(PARAMS, options.baseline, name)
-    sys.exit(subprocess.run(["dvc", "repro", f"{stage}@{name}"], check=False).returncode)
+    sys.exit(subprocess.run([sys.executable, "-m", "dvc", "repro", f"{stage}@{name}"], check=False).returncode)
 
 
 def turn_on(path: Path, options: Namespace) -> str:
@@ -48,8 +48,8 @@ def turn_on(path: Path, options: Namespace) -> str:
 
     The name leaves out what is usual: laptop size, no ablation, seed 0, the row's own photographs. A run whose ablation
     leaves base shapes as they are shares the base shape of the run without ablation. Raises ConfigError for a row, size
-    or ablation that does not exist, for a dataset whose source is not known or whose pictures have another size, and
-    for features whose weights are not known.
+    or ablation that does not exist, for a dataset whose source is not known or whose pictures have another size, for
+    features whose weights are not known, and for a run of that name that is on with another row.
     """
     yaml = _yaml()
     document = yaml.load(path)
@@ -68,6 +68,7 @@ def turn_on(path: Path, options: Namespace) -> str:
     name = _name(subject, entry)
     changes_base_shape = bool(document["ablations"][options.ablation]["learn_base_shape"])
     base_shape = entry | {"ablation": options.ablation if changes_base_shape else "none"}
+    _require_same_row(document["runs"].get(name), name, options.row)
     _put(document["base_shapes"], _name(subject, base_shape), base_shape)
     _put(document["runs"], name, entry | {"base_shape": _name(subject, base_shape)})
     with atomic_path(path) as temporary:
@@ -79,6 +80,14 @@ def _name(subject: str, entry: dict[str, Any]) -> str:
     unusual = [subject] + [entry["size"]] * (entry["size"] != "laptop")
     unusual += [entry["ablation"]] * (entry["ablation"] != "none") + [f"seed{entry['seed']}"] * (entry["seed"] != 0)
     return "-".join(unusual)
+
+
+def _require_same_row(entry: dict[str, Any] | None, name: str, row: str) -> None:
+    if entry is not None and entry["row"] != row:
+        raise ConfigError(
+            f"run '{name}' is on with row {entry['row']}, not {row}; name the same photographs differently with "
+            "DATASET= and SOURCE=, or remove the run from params.yaml"
+        )
 
 
 def turn_on_baseline(path: Path, baseline: str, run: str) -> None:

@@ -50,7 +50,7 @@ def train(arguments: Namespace, device: torch.device) -> None:
             write_json(arguments.metrics, {"maps": given.maps, "parameters": count_parameters(given)})
         return
     inputs = [arguments.images, arguments.test_images, arguments.initial]
-    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed, precision))
+    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed, device, precision))
     seed = arguments.seed
     network, curve = train_features(config, pictures, test, arguments.initial, precision, seed, checkpoint)
     if not is_first():

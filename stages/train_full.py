@@ -34,7 +34,7 @@ def train(arguments: Namespace, device: torch.device) -> None:
     memory = resolve_memory(scalar(arguments.params, "memory"))
     precision = resolve_precision(scalar(arguments.params, "precision"), device)
     inputs = [arguments.images, arguments.features, arguments.base_shape, arguments.mesh]
-    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed, precision))
+    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed, device, precision))
     trainer, curve = train_full(
         config,
         place_images([load_images_of_size(arguments.images, config.model.renderer.size)], device, memory),
@@ -47,9 +47,9 @@ def train(arguments: Namespace, device: torch.device) -> None:
     )
     if not is_first():
         return
-    save(trainer, arguments.out)
     curve.write(arguments.curve)
     write_json(arguments.metrics, curve.rows[-1])
+    save(trainer, arguments.out)
     checkpoint.clear()
 
 

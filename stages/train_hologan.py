@@ -19,13 +19,13 @@ def main() -> None:
     arguments = parse(__doc__, images=Path, seed=int, checkpoints=Path, out=Path, metrics=Path, curve=Path)
     config = load(arguments.params, HoloGANTrainingConfig, arguments.sections)
     device = resolve_device(scalar(arguments.params, "device"))
-    key = restart_key(config, [arguments.images], arguments.seed, torch.float32)
+    key = restart_key(config, [arguments.images], arguments.seed, device, torch.float32)
     checkpoint = Checkpoint(arguments.checkpoints, key)
     images = load_images(arguments.images).to(device)
     generator, curve = train_hologan(config, images, arguments.seed, checkpoint)
-    save_hologan(arguments.out, generator)
     curve.write(arguments.curve)
     write_json(arguments.metrics, curve.rows[-1])
+    save_hologan(arguments.out, generator)
     checkpoint.clear()
 
 

@@ -1,8 +1,9 @@
 """Photographs to textured meshes, with the model of a run."""
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -27,7 +28,7 @@ from pipeline.export.seam import unwrap
 from pipeline.export.views import on_white, render_textured
 from pipeline.files import read_json, sha256, write_json
 from pipeline.geometry.camera import Pose, pose_from_tensor
-from pipeline.networks.feature_extractor import load_feature_extractor
+from pipeline.networks.feature_extractor import FeatureExtractor, load_feature_extractor
 from pipeline.networks.full_model import FullModel, load_full_model
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.fine_tune import FineTuneConfig, fine_tune
@@ -67,6 +68,7 @@ def reconstruct(
     _require_same_way(out, {"model": sha256(run.model), "fine_tune": tuned})
     waiting = [task for task in tasks if not task.done(outputs)]
     config = load(run.params, FineTuneConfig, ["fine_tune", f"sizes.{run.size}.fine_tune"])
+    find = _fine_tuning(run, model, config, device) if tuned else partial(_inferred, model=model)
     fit = load(run.params, PrepareConfig, ["prepare_data", f"datasets.{run.dataset}"]).fit
     report = load(run.params, ReportConfig, ["report"])
     failures: list[str] = []
@@ -76,7 +78,7 @@ def reconstruct(
             progress.update(min(config.batch_size, len(waiting) - start) - len(readable))
             if not readable:
                 continue
-            found = _fine_tuned(images.to(device), model, run, config) if tuned else _inferred(images.to(device), model)
+            found = find(images.to(device))
             for index, task in enumerate(readable):
                 _write(task, index, found, model, report, outputs)
                 progress.update()
@@ -106,13 +108,19 @@ def _inferred(images: UInt8[Tensor, "B 3 H W"], model: FullModel) -> Found:
     return Found(scene.vertices.cpu(), scene.texture_maps.cpu(), _cpu(scene.pose), model.render(scene).cpu())
 
 
-def _fine_tuned(images: UInt8[Tensor, "B 3 H W"], model: FullModel, run: Run, config: FineTuneConfig) -> Found:
-    precision = resolve_precision(scalar(run.params, "precision"), images.device)
-    extractor = load_feature_extractor(run.features, images.device, precision)
+def _fine_tuning(
+    run: Run, model: FullModel, config: FineTuneConfig, device: torch.device
+) -> Callable[[UInt8[Tensor, "B 3 H W"]], Found]:
+    precision = resolve_precision(scalar(run.params, "precision"), device)
+    extractor = load_feature_extractor(run.features, device, precision)
+    return partial(_fine_tuned, model=model, extractor=extractor, config=replace(config, photographs=None))
+
+
+def _fine_tuned(
+    images: UInt8[Tensor, "B 3 H W"], model: FullModel, extractor: FeatureExtractor, config: FineTuneConfig
+) -> Found:
     with tempfile.TemporaryDirectory() as folder:
-        results = fine_tune(
-            replace(config, photographs=None), images, model, extractor, Checkpoint(Path(folder), "reconstruct")
-        )
+        results = fine_tune(config, images, model, extractor, Checkpoint(Path(folder), "reconstruct"))
     pose = pose_from_tensor(results["pose_tuned"])
     return Found(results["vertices_tuned"], results["textures"], pose, results["images_tuned"].float() / 255)
 

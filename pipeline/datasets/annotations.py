@@ -2,6 +2,7 @@
 
 import io
 import math
+import zlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
@@ -38,7 +39,7 @@ def read_objects(content: bytes, name: str, category: str, has_difficult: bool) 
         return [_object(found) for found in objects if found["class"] == category and _is_usable(found, flags)]
     except KeyError as error:
         raise DataError(f"{name} has no field {error}; expected an annotation of PASCAL3D+") from None
-    except (MatReadError, ValueError, TypeError, NotImplementedError, OSError) as error:
+    except (MatReadError, zlib.error, ValueError, TypeError, NotImplementedError, OSError) as error:
         reason = " ".join(str(error).split())
         raise DataError(f"{name} is not an annotation of PASCAL3D+ ({reason}); copy it again") from None
 

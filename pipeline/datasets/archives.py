@@ -14,6 +14,9 @@ from pipeline.errors import DataError
 DAMAGE = (tarfile.TarError, zipfile.BadZipFile, lzma.LZMAError, zlib.error, EOFError, OSError)
 """What the readers of archives raise when bytes are missing or wrong."""
 
+_ENCRYPTED = 1
+"""The flag of a zip's member that needs a password."""
+
 Wanted = Callable[[PurePosixPath], bool]
 
 
@@ -76,6 +79,8 @@ def _read_zip(path: Path, wanted: Wanted) -> Iterator[Entry]:
             if (member.external_attr >> 16) & 0o170000 == 0o120000:
                 raise DataError(f"{path}: '{member.filename}' is a link; expected only files and folders")
             if wanted(name):
+                if member.flag_bits & _ENCRYPTED:
+                    raise DataError(f"{path}: '{member.filename}' is encrypted; unpack the archive and name the folder")
                 yield Entry(name, None if member.is_dir() else archive.read(member))
 
 

@@ -65,7 +65,7 @@ def _cut(picture: Image.Image, name: str, box: Box, size: int) -> UInt8[np.ndarr
 def _reading(name: str) -> Iterator[None]:
     try:
         yield
-    except (UnidentifiedImageError, OSError, SyntaxError, ValueError) as error:
+    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, ValueError) as error:
         raise DataError(f"{name} cannot be read as a picture ({error}); replace or remove it") from None
 
 

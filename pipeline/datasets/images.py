@@ -58,8 +58,8 @@ def load_images_of_size(path: Path, size: int) -> UInt8[Tensor, "N 3 size size"]
     images = load_images(path)
     if images.shape[-1] != size:
         raise DataError(
-            f"{path} holds pictures of {images.shape[-1]} px, but renderer.size is {size}; give its dataset a size of "
-            f"{size} under its kind, or the run one of {images.shape[-1]}"
+            f"{path} holds pictures of {images.shape[-1]} px, but renderer.size is {size}; prepare the photographs "
+            f"under another name (DATASET=) at {size} px, or choose a SIZE= that compares {images.shape[-1]} px"
         )
     return images
 

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn import functional
 
 from pipeline.evaluation.artifacts import Reconstructions
 from pipeline.export.picture import enlarge, tile, write_png
@@ -19,6 +20,7 @@ from pipeline.export.viewer import viewer_section
 from pipeline.export.views import ViewConfig, on_white
 from pipeline.files import atomic_path
 from pipeline.geometry.camera import CameraConfig
+from pipeline.networks.pose_coordinates import Framing
 from pipeline.seeding import generator
 
 
@@ -47,6 +49,8 @@ class ReportInputs(NamedTuple):
     """What the chain produced.
 
     Attributes:
+        drawn: whether the project itself draws the photographs, so that figures may show them.
+        framing: of the photographs; `box` lets objects fill their other views too.
         base: base shape of the full model, with the faces of the reconstructions.
         figures: of `evaluate`.
         stage_figures: metrics of the other stages, by the stage's name.
@@ -57,12 +61,14 @@ class ReportInputs(NamedTuple):
 
     run: str
     photographs: Float[Tensor, "B 3 H W"]
+    drawn: bool
     reconstructions: Reconstructions
     seeds: Float[Tensor, "S V 3"]
     seed_faces: Int[Tensor, "F 3"]
     seed_scores: Float[Tensor, " S"]
     base: Float[Tensor, "V 3"]
     camera: CameraConfig
+    framing: Framing
     figures: Mapping[str, Any]
     stage_figures: Mapping[str, Mapping[str, Any]]
     curves: Mapping[str, Mapping[str, list[str]]]
@@ -70,9 +76,9 @@ class ReportInputs(NamedTuple):
 
 
 def write_report(inputs: ReportInputs, config: ReportConfig, page_folder: Path, figure_folder: Path) -> None:
-    """Write `index.html` to one folder and figures without photographs to another, each folder whole or not at all."""
+    """Write `index.html` to one folder and figures to another, each folder whole or not at all."""
     best, random = choose_examples(inputs, config)
-    gallery = Gallery(inputs.reconstructions, inputs.photographs, inputs.camera, config.view)
+    gallery = Gallery(inputs.reconstructions, inputs.photographs, inputs.camera, inputs.framing, config.view)
     seeds = gallery.seed_views(inputs.seeds, inputs.seed_faces)
     exhibits = [
         *reconstruction_exhibits("best", "Best reconstructions", gallery, best, inputs.table),
@@ -99,6 +105,15 @@ def write_report(inputs: ReportInputs, config: ReportConfig, page_folder: Path, 
         write_png(folder / "reconstructions.png", tile(enlarge(renderings.transpose(0, 1), factor), gap=4, shade=1.0))
         steps = torch.stack([gallery.steps(index) for index in random[: config.stepped].tolist()])
         write_png(folder / "steps.png", tile(on_white(steps), gap=4, shade=1.0))
+        write_png(folder / "examples.png", tile(example_rows(gallery, random, inputs.drawn), gap=4, shade=1.0))
+
+
+def example_rows(gallery: Gallery, index: Int[Tensor, " K"], drawn: bool) -> Float[Tensor, "R K 3 H W"]:
+    """Show pictures as columns: the photograph if the project has drawn it, its reconstruction, the object alone."""
+    objects = on_white(torch.stack([gallery.corners(position) for position in index.tolist()], dim=1))
+    pictures = torch.stack([gallery.photographs[index]] * drawn + [gallery.reconstructions.tuned.images[index]])
+    enlarged = functional.interpolate(pictures.flatten(0, 1), objects.shape[-2:])
+    return torch.cat([enlarged.unflatten(0, pictures.shape[:2]), objects])
 
 
 def choose_examples(inputs: ReportInputs, config: ReportConfig) -> tuple[Int[Tensor, " K"], Int[Tensor, " K"]]:

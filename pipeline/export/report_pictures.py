@@ -12,9 +12,11 @@ from pipeline.export.report_page import Section, card, four, grid, image
 from pipeline.export.viewer import turn_link
 from pipeline.export.views import SEED_AZIMUTHS, ViewConfig, render_clay, render_textured
 from pipeline.geometry.camera import CameraConfig
+from pipeline.networks.pose_coordinates import Framing, fill_picture
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
 STEP_AZIMUTHS = tuple(range(0, 400, 50))
+CORNER_AZIMUTHS = (45.0, 225.0)
 
 
 class Gallery:
@@ -25,12 +27,14 @@ class Gallery:
         reconstructions: Reconstructions,
         photographs: Float[Tensor, "B 3 H W"],
         camera: CameraConfig,
+        framing: Framing,
         view: ViewConfig,
     ) -> None:
         self.photographs = photographs
         self.reconstructions = reconstructions
         self.elevation = view.elevation
         self._camera = camera
+        self._framing = framing
         self._view = view
 
     def seed_views(self, seeds: Float[Tensor, "S V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "S 4 4 H W"]:
@@ -47,6 +51,12 @@ class Gallery:
         """Render one fine-tuned object at steps of 50 degrees."""
         found = self.reconstructions
         return self._around(found.tuned.vertices[index], found.textures[index], STEP_AZIMUTHS)
+
+    def corners(self, index: int) -> Float[Tensor, "3 4 H W"]:
+        """Render one fine-tuned object from its front corner, its rear corner and, in grey, its front corner again."""
+        vertices, faces = self.reconstructions.tuned.vertices[index], self.reconstructions.faces
+        textured = self._around(vertices, self.reconstructions.textures[index], CORNER_AZIMUTHS)
+        return torch.cat([textured, render_clay(vertices, faces, CORNER_AZIMUTHS[:1], self._camera, self._view)])
 
     def base_view(self, base: Float[Tensor, "V 3"], azimuth: float) -> Float[Tensor, "4 H W"]:
         """Render the base shape with the mean of all textures from one side."""
@@ -65,6 +75,8 @@ class Gallery:
         mesh = Mesh(found.tuned.vertices[index], found.faces, found.directions)
         pose = type(found.tuned.pose)(*(values[index] for values in found.tuned.pose))
         pose = pose._replace(azimuth=pose.azimuth + torch.tensor(turn).deg2rad())
+        if self._framing == "box":
+            pose = fill_picture(mesh.vertices, pose, self._camera)
         renderer = RendererConfig(camera=self._camera, size=size, supersampling=self._view.supersampling)
         images = render(mesh, found.textures[index], pose, found.tuned.backgrounds[index], None, renderer).images
         return images.clamp(0, 1)

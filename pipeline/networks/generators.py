@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from pipeline.errors import ConfigError
 from pipeline.networks.batch_normalization import BatchNorm2d
 
 
@@ -67,7 +68,10 @@ class ImageGenerator(nn.Module):
     """Map a latent vector to a square image by a DCGAN-like network with residual connections (paper 3.1.2)."""
 
     def __init__(self, latent_size: int, hidden_channels: int, out_channels: int, size: int, wrap: bool) -> None:
+        """Draw images of `size` pixels. Raises ConfigError for a size that is no power of two from 4."""
         super().__init__()
+        if size < 4 or size & (size - 1):
+            raise ConfigError(f"textures and backgrounds cannot be {size} px wide; expected 4, 8, 16, 32, 64 or so on")
         blocks = (size // 4).bit_length() - 1
         widths = [hidden_channels * 2 ** max(blocks - 1 - i, 0) for i in range(blocks + 1)]
         self.start = nn.Linear(latent_size, widths[0] * 16)

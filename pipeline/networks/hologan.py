@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pipeline.config import from_json
+from pipeline.errors import ConfigError
 from pipeline.files import load_tensors, save_tensors
 from pipeline.geometry.camera import rotation_from_angles
 
@@ -39,6 +40,11 @@ class HoloGANConfig:
     width: int
     discriminator_width: int
     image_size: int
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError for a size that the networks cannot draw."""
+        if self.image_size not in (32, 64):
+            raise ConfigError(f"train_hologan.network.image_size is {self.image_size}; expected 32 or 64")
 
 
 class AdaptiveNormalization(nn.Module):

@@ -244,7 +244,8 @@ def _train(trainer: SeedTrainer, checkpoint: Checkpoint) -> Curve:
     for iteration in tqdm(steps, f"seed {trainer.index}", initial=first, total=config.iterations, disable=silent()):
         unread.append(trainer.step(iteration))
         if (iteration + 1) % config.checkpoint_every == 0 or iteration + 1 == config.iterations:
-            for number, losses in enumerate(read_losses(unread, iteration), iteration + 1 - len(unread)):
+            rows = read_losses(unread, iteration, "base-shape learning")
+            for number, losses in enumerate(rows, iteration + 1 - len(unread)):
                 curve.append(number, seed=trainer.index, **losses)
             unread = []
             checkpoint.save(pack(**parts), {"iteration": iteration + 1, "rows": curve.rows})

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from torch.optim import Optimizer
 
 from pipeline.distributed import from_first, is_first
-from pipeline.errors import TrainingDiverged
+from pipeline.errors import DataError, TrainingDiverged
 from pipeline.files import load_tensors, save_tensors, sha256
 
 Part = nn.Module | Optimizer | torch.Generator | Tensor
@@ -48,17 +48,24 @@ class Checkpoint:
     def _read(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
         if not self._path.exists():
             return None
-        tensors, texts = load_tensors(self._path)
+        try:
+            tensors, texts = load_tensors(self._path)
+        except DataError:
+            raise DataError(f"the restart state {self._path} is damaged; remove it to train anew") from None
         return (tensors, json.loads(texts["values"])) if texts["key"] == self._key else None
 
 
-def restart_key(config: object, inputs: Sequence[Path], seed: int, precision: torch.dtype) -> str:
-    """Hash what a training's state depends on: config, seed, precision, the bytes of its inputs, the library's code.
+def restart_key(config: object, inputs: Sequence[Path], seed: int, device: torch.device, precision: torch.dtype) -> str:
+    """Hash what a training's state depends on.
 
-    Inputs are files or directories. The code is every Python file of the `pipeline` package, and PyTorch's version.
+    That is the config, the seed, the kind of device (random generators differ), the precision, the bytes of the inputs,
+    which are files or directories, every Python file of the `pipeline` package, and PyTorch's version.
     """
     code = [sha256(path) for path in sorted(LIBRARY.rglob("*.py"))]
-    everything = (repr(config), seed, str(precision), [sha256(path) for path in inputs], code, torch.__version__)
+    everything = (
+        *(repr(config), seed, device.type, str(precision)),
+        *([sha256(path) for path in inputs], code, torch.__version__),
+    )
     return hashlib.sha256(repr(everything).encode()).hexdigest()
 
 
@@ -85,23 +92,23 @@ def unpack(tensors: Mapping[str, Tensor], **parts: Part) -> None:
                 part.copy_(tensors[name])
 
 
-def require_finite(loss: Tensor, iteration: int) -> None:
+def require_finite(loss: Tensor, iteration: int, phase: str) -> None:
     """Raise TrainingDiverged unless the loss is finite; call it before the next checkpoint."""
-    read_losses([{"loss": loss.detach()}], iteration)
+    read_losses([{"loss": loss.detach()}], iteration, phase)
 
 
-def read_losses(rows: Sequence[Mapping[str, Float[Tensor, ""]]], iteration: int) -> list[dict[str, float]]:
+def read_losses(rows: Sequence[Mapping[str, Float[Tensor, ""]]], iteration: int, phase: str) -> list[dict[str, float]]:
     """Bring the losses of consecutive iterations, the last of which is `iteration`, to the host in one copy.
 
     The host waits for a GPU then, so let some iterations pass, but read before the next checkpoint: raises
-    TrainingDiverged where a loss is not finite.
+    TrainingDiverged, naming the phase of the training, where a loss is not finite.
     """
     table = torch.stack([torch.stack([*row.values()]) for row in rows]).tolist() if rows else []
     for number, values in enumerate(table, iteration + 1 - len(table)):
         if not all(map(math.isfinite, values)):
             raise TrainingDiverged(
-                f"the loss became {next(value for value in values if not math.isfinite(value))} at iteration {number}; "
-                "the last checkpoint before it is kept: lower the learning rate or look at the inputs"
+                f"the loss of {phase} became {next(value for value in values if not math.isfinite(value))} at "
+                f"iteration {number}; what was saved before it is kept: lower the learning rate or look at the inputs"
             )
     return [dict(zip(row, values, strict=True)) for row, values in zip(rows, table, strict=True)]
 

@@ -8,9 +8,10 @@ axes is taken off, and this splits them in two. The rest depends on how they wer
 - Both ends equally often. Then slants say nothing of the way objects face, and the split spreads from the sides to ever
   more oblique views.
 - Mostly one end, as people show the fronts of cars. Then the ends that records tell at oblique views are builds, and
-  to take all of them for the preferred end is right more often. Which one that is say records of views along the axis,
-  and which half of the sides faces which way the records of sides: at oblique views the nearer end looks taller, and
-  that is what the taller end of a shape explains as well.
+  to take all of them for the preferred end is right more often. Which half of the sides faces which way say the records
+  of sides: at oblique views the nearer end looks taller, and that is what the taller end of a shape explains as well.
+  Which end is preferred say records of views along the axis; there nearly all of them, rears too, name the shape's
+  blunter end, so this is right for objects whose front is blunter.
 
 Near-by azimuths differ by more than the two ends do, so recorded axes are made consistent with each other first.
 What all photographs show, those along the axis too, is judged by a last regression, of the azimuths that follow, on all
@@ -153,7 +154,8 @@ def facing(
     already split, which changes smoothly with the slant, each time for photographs of the other folds.
     """
     rest = without_slant(odd, slant, others)
-    shown = (rest[:, :, None] * _harmonics(slant, range(_FACING_HARMONICS)).cos()[:, None]).flatten(1)
+    turns = (2 * slant[:, None] * torch.arange(_FACING_HARMONICS, device=slant.device)).cos()
+    shown = (rest[:, :, None] * turns[:, None]).flatten(1)
     first = math.radians(config.side_reach)
     seen, belief = slant.abs() <= first, torch.zeros_like(slant)
     belief[seen] = (_SHARPNESS * _leading_component(rest[seen])).tanh()
@@ -176,10 +178,8 @@ def without_slant(
     Slants are not known exactly: what is left of their effect may vary more than the way objects face. A direction
     counts as much as slants change it compared with how much features vary without them.
     """
-    turns = _harmonics(slant, range(1, _SLANT_HARMONICS + 1)).sin()
-    known = torch.cat([turns, others], 1)
-    effects = _fit(known, odd)
-    rest = odd - known @ effects
+    turns = _odd_harmonics(slant, _SLANT_HARMONICS)
+    rest, effects = _taken_off(torch.cat([turns, others], 1), odd)
     changes = effects[:_SLANT_HARMONICS] * turns.std(dim=0)[:, None]
     variation = rest.square().mean() * torch.eye(len(changes), device=rest.device)
     return rest - rest @ changes.T @ torch.linalg.solve(changes @ changes.T + variation, changes)
@@ -197,8 +197,9 @@ def facing_with_preferred_end(
     reach = math.radians(config.side_reach)
     side, along = slant.abs() <= reach, slant.abs() >= math.pi / 2 - reach
     belief = slant.sign() * slant[along].sign().sum().sign()
-    known = torch.cat([_harmonics(slant, range(1, _SIDE_HARMONICS + 1)).sin(), others], 1)[side]
-    split = _leading_component(odd[side] - known @ _fit(known, odd[side]))
+    known = torch.cat([_odd_harmonics(slant, _SIDE_HARMONICS), others], 1)
+    rest, _ = _taken_off(known[side], odd[side])
+    split = _leading_component(rest)
     belief[side] = (_SHARPNESS * split * split.sign().sum().sign()).tanh()
     return belief
 
@@ -210,9 +211,9 @@ def opposite_bins(azimuth: Float[Tensor, " N"]) -> tuple[Float[Tensor, "N azimut
     return seen, seen.roll(AZIMUTHS // 2, dims=1)
 
 
-def _harmonics(slant: Float[Tensor, " N"], orders: range) -> Float[Tensor, "N K"]:
-    """Return multiples of twice the slant: the axis is the same seen from either of its ends."""
-    return 2 * slant[:, None] * torch.tensor(list(orders), device=slant.device)
+def _odd_harmonics(slant: Float[Tensor, " N"], count: int) -> Float[Tensor, "N K"]:
+    """Return sines of multiples of twice the slant: the axis is the same seen from either of its ends."""
+    return (2 * slant[:, None] * torch.arange(1, count + 1, device=slant.device)).sin()
 
 
 def _leading_component(values: Float[Tensor, "N C"]) -> Float[Tensor, " N"]:
@@ -220,8 +221,11 @@ def _leading_component(values: Float[Tensor, "N C"]) -> Float[Tensor, " N"]:
     return torch.linalg.svd(values, full_matrices=False).U[:, 0] * math.sqrt(len(values))
 
 
-def _fit(design: Float[Tensor, "N D"], targets: Float[Tensor, "N K"]) -> Float[Tensor, "D K"]:
-    """Return the coefficients of a regression without a constant."""
-    variance = design.T @ design / len(design)
-    penalty = 1e-6 * variance.diagonal().mean() * torch.eye(len(variance), device=design.device)
-    return torch.linalg.solve(variance + penalty, design.T @ targets / len(design))
+def _taken_off(
+    known: Float[Tensor, "N D"], values: Float[Tensor, "N K"]
+) -> tuple[Float[Tensor, "N K"], Float[Tensor, "D K"]]:
+    """Return what a regression on the known leaves of the values, and its coefficients; it has no constant."""
+    variance = known.T @ known / len(known)
+    penalty = 1e-6 * variance.diagonal().mean() * torch.eye(len(variance), device=known.device)
+    effects = torch.linalg.solve(variance + penalty, known.T @ values / len(known))
+    return values - known @ effects, effects

@@ -97,12 +97,8 @@ class Best(NamedTuple):
     """The candidates nearest to the photographs; gradients flow to the networks whose own estimate won."""
 
     record: Record
-    losses: Float[Tensor, " B"]
-    """Distances of the winners."""
     head: Int[Tensor, " B"]
     """The ensemble's best head."""
-    winner: Int[Tensor, " B"]
-    """Index of the winning candidate, in the order of `candidates`."""
 
 
 def first_record(model: FullModel, count: int, rng: torch.Generator) -> Record:
@@ -200,10 +196,10 @@ def explore(
     losses = score(model, extractor, photographs, estimate, poses, shapes, config.map_weights)
     far = ~within_reach(poses, record.pose, config.azimuth_reach)
     ranked = losses + _BEYOND_REACH * far
-    lowest, winner = ranked.min(dim=0)
+    winner = ranked.argmin(dim=0)
     photograph = torch.arange(len(winner), device=winner.device)
     head = ranked[FIRST_HEAD : FIRST_HEAD + estimate.heads.end.shape[1]].argmin(dim=0)
-    return Best(Record(poses[winner, photograph], shapes[winner, photograph]), lowest, head, winner)
+    return Best(Record(poses[winner, photograph], shapes[winner, photograph]), head)
 
 
 def within_reach(

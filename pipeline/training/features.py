@@ -164,7 +164,7 @@ def train_features(
         trainer.step(iteration)
         done = iteration + 1
         if done % trainer.iterations_per_epoch == 0:
-            require_finite(trainer.loss_sum, iteration)
+            require_finite(trainer.loss_sum, iteration, "feature training")
             curve.append(
                 done,
                 learning_rate=config.learning_rate * one_cycle(iteration, trainer.iterations, config.warm_up),
@@ -173,7 +173,7 @@ def train_features(
             )
             trainer.loss_sum.zero_()
         if done % config.checkpoint_every == 0 or done == trainer.iterations:
-            require_finite(trainer.loss_sum, iteration)
+            require_finite(trainer.loss_sum, iteration, "feature training")
             checkpoint.save(pack(**trainer.parts()), {"iteration": done, "rows": curve.rows})
     return trainer.network.eval(), curve
 

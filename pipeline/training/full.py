@@ -11,6 +11,7 @@ from tqdm import tqdm
 
 from pipeline.datasets.images import Images
 from pipeline.distributed import agree, average, average_gradients, gather, share, silent
+from pipeline.errors import ConfigError
 from pipeline.files import load_tensors
 from pipeline.geometry.camera import Pose
 from pipeline.geometry.icosphere import icosphere
@@ -75,9 +76,10 @@ class FullTrainingConfig:
     """From the first poses, from the recorded ones when ends are told apart, and from those after training."""
     ends: EndsConfig | None
     """None leaves ends as they are recorded."""
-    settle: int
-    """Iterations in which poses are refined, but not turned to the object's far side at once: textures that mean
-    nothing yet would choose between its ends blindly, and undo what `ends` told (docs/decisions.md)."""
+    settle: float
+    """The first part of the iterations, in which poses are refined, but not turned to the object's far side at once:
+    textures that mean nothing yet would choose between its ends blindly, and undo what `ends` told
+    (docs/decisions.md). 1 is all of them, which leaves random, turned and flipped poses out."""
     exploration: ExplorationConfig
     loss: LossConfig
     discriminator_width: int
@@ -85,6 +87,11 @@ class FullTrainingConfig:
     """Iterations that one row of the curve averages."""
     checkpoint_every: int
     """Iterations between restart states."""
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError where `settle` is not a part of the training."""
+        if not 0 <= self.settle <= 1:
+            raise ConfigError(f"train_full.settle is {self.settle}; expected a part of the iterations, from 0 to 1")
 
 
 class FullTrainer:
@@ -131,7 +138,8 @@ class FullTrainer:
         own = share(index)
         images, features = self.photographs.batch(own)
         estimate = self.estimate(images)
-        exploration = self.config.exploration if iteration >= self.config.settle else refining(self.config.exploration)
+        settled = iteration >= self.config.settle * self.config.iterations
+        exploration = self.config.exploration if settled else refining(self.config.exploration)
         best = explore(self.model, self.extractor, features, estimate, self.record.rows(own), exploration, self.rng)
         self.record.pose[index], self.record.shape[index] = gather(best.record.pose), gather(best.record.shape)
         self.visits[index] += 1
@@ -273,14 +281,13 @@ def train_full(
         unread.append(trainer.step(iteration))
         last = iteration + 1 == config.iterations
         if last or any((iteration + 1) % every == 0 for every in (config.curve_every, config.checkpoint_every)):
-            recent, unread = recent + read_losses(unread, iteration), []
+            recent, unread = recent + read_losses(unread, iteration, "full training"), []
         if last or (iteration + 1) % config.curve_every == 0:
             curve.append(iteration + 1, **_means(recent))
             recent = []
         if (iteration + 1) % config.checkpoint_every == 0:
             values = {"iteration": iteration + 1, "rows": curve.rows, "recent": recent}
             checkpoint.save(pack(**trainer.parts()), values)
-    read_losses(unread, config.iterations - 1)
     if config.ends is not None and 1 in config.ends.after:
         trainer.turn_round(config.ends)
     trainer.review()

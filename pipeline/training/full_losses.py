@@ -98,8 +98,9 @@ class FullLoss:
         """Render the same objects from random views; return the view prior loss (term 4) and the student's pose error.
 
         Azimuth and elevation alone are redrawn: where the object stands in the picture says nothing about how it looks.
-        The discriminator descends on its loss, the objects' shapes and textures ascend; the student's error trains the
-        pose networks alone.
+        The discriminator descends on its loss. What the renderings are made of ascends: textures and backgrounds and,
+        where the networks' own estimates are the best found, shapes and, in the estimated view, poses. The student's
+        error trains the pose networks alone.
         """
         model = self.model
         drawn = share(model.poses.draw(whole(len(images)), rng))

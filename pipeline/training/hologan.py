@@ -129,12 +129,13 @@ def train_hologan(
     for iteration in tqdm(steps, "HoloGAN", initial=first, total=config.iterations, disable=None):
         trainer.step(iteration)
         done = iteration + 1
-        if done % config.curve_every == 0:
-            require_finite(trainer.losses.sum(), iteration)
-            means = (trainer.losses / config.curve_every).tolist()
+        last = done == config.iterations
+        if last or any(done % every == 0 for every in (config.curve_every, config.checkpoint_every)):
+            require_finite(trainer.losses.sum(), iteration, "HoloGAN")
+        if last or done % config.curve_every == 0:
+            means = (trainer.losses / (iteration % config.curve_every + 1)).tolist()
             curve.append(done, **dict(zip(("discriminator", "generator", "identity"), means, strict=True)))
             trainer.losses.zero_()
         if done % config.checkpoint_every == 0:
-            require_finite(trainer.losses.sum(), iteration)
             checkpoint.save(pack(**trainer.parts()), {"iteration": done, "rows": curve.rows})
     return trainer.generator, curve

@@ -13,9 +13,10 @@ from torch import Tensor
 from tqdm import tqdm
 
 from pipeline.datasets.images import Images
-from pipeline.distributed import average_gradients, share, silent
+from pipeline.distributed import average, average_gradients, share, silent
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_decoder import regression_error
+from pipeline.training.checkpoint import read_losses
 from pipeline.training.schedule import falling, set_learning_rate
 
 
@@ -41,19 +42,24 @@ def learn_poses(
 ) -> None:
     """Train the pose networks to read poses off some photographs and, negated, off their mirror images.
 
-    Every head learns from every photograph. What thousands of photographs agree on outweighs single wrong poses.
+    Mirror images take part where objects are mirror-symmetric. Every head learns from every photograph: what thousands
+    of them agree on outweighs single wrong poses. Raises TrainingDiverged.
     """
     parameters = [*model.pose_encoder.parameters(), *model.pose_decoder.parameters()]
     optimizer = torch.optim.Adam(parameters, lr=config.learning_rate, betas=config.betas, fused=True)
+    losses: list[dict[str, Tensor]] = []
     for step in tqdm(range(config.iterations), "lessons", disable=silent()):
         rows = share(torch.randint(len(index), (config.batch_size,), generator=rng, device=rng.device))
         images, wanted = photographs[index[rows]].float() / 255, poses[rows]
-        code = model.pose_encoder(torch.cat([images, images.flip(-1)]))
-        wanted = torch.cat([wanted, model.poses.mirror(wanted)])
+        if model.config.shape.mirror:
+            images, wanted = torch.cat([images, images.flip(-1)]), torch.cat([wanted, model.poses.mirror(wanted)])
+        code = model.pose_encoder(images)
         loss = regression_error(model.pose_decoder.ensemble(code), wanted[:, None])
         loss = loss + regression_error(model.pose_decoder(code), wanted)
+        losses.append({"loss": average(loss.detach())})
         set_learning_rate(falling(config.learning_rate, step, config.iterations, config.iterations / 2), optimizer)
         optimizer.zero_grad(set_to_none=True)
         loss.backward()
         average_gradients(optimizer)
         optimizer.step()
+    read_losses(losses, config.iterations - 1, "the lessons")

@@ -74,7 +74,9 @@ def remesh_by_silhouettes(original: MappedMesh, config: SilhouetteConfig) -> Map
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
-    return MappedMesh(shape().detach(), faces, directions)
+    result = MappedMesh(shape().detach(), faces, directions)
+    check_surface(result)
+    return result
 
 
 def views_all_around(count: int) -> Pose:

@@ -73,7 +73,7 @@ def warm_up(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng:
         loss.backward()
         average_gradients(optimizer)
         optimizer.step()
-    read_losses(losses, config.iterations - 1)
+    read_losses(losses, config.iterations - 1, "the warm-up")
 
 
 def draw_sample(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: torch.Generator) -> Sample:

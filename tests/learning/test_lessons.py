@@ -1,12 +1,18 @@
 """Lessons from known poses."""
 
+from dataclasses import replace
+
+import pytest
 import torch
 from torch import Tensor
 
+from pipeline.errors import TrainingDiverged
 from pipeline.networks.pose_decoder import regression_error
 from pipeline.seeding import generator
 from pipeline.training.lessons import LessonsConfig, learn_poses
-from tests.tiny_full_model import photographs, tiny_model
+from tests.tiny_full_model import MODEL, photographs, tiny_model
+
+LESSONS = LessonsConfig(60, 16, 3e-3, (0.9, 0.99))
 
 
 def test_the_student_learns_to_read_poses_off_photographs_and_their_mirror_images() -> None:
@@ -23,6 +29,25 @@ def test_the_student_learns_to_read_poses_off_photographs_and_their_mirror_image
 
     before = errors()
     others = [parameter.clone() for parameter in model.texture_encoder.parameters()]
-    learn_poses(model, images, index, poses, LessonsConfig(60, 16, 3e-3, (0.9, 0.99)), generator(0))
+    learn_poses(model, images, index, poses, LESSONS, generator(0))
     assert (errors() < 0.7 * before).all()
     assert all(map(torch.equal, others, model.texture_encoder.parameters()))
+
+
+def test_mirror_images_teach_symmetric_objects_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    images, coordinates = photographs(8)
+    taught: list[int] = []
+    for mirror in (True, False):
+        model = tiny_model(shape=replace(MODEL.shape, mirror=mirror))
+        encoder = model.pose_encoder.forward
+        monkeypatch.setattr(model.pose_encoder, "forward", lambda x, e=encoder: (taught.append(len(x)), e(x))[1])
+        learn_poses(model, images, torch.arange(8), coordinates, replace(LESSONS, iterations=1), generator(0))
+    assert taught == [32, 16]
+
+
+def test_lessons_that_diverge_stop() -> None:
+    images, coordinates = photographs(8)
+    with pytest.raises(TrainingDiverged, match="the loss of the lessons became"):
+        learn_poses(
+            tiny_model(), images, torch.arange(8), coordinates, replace(LESSONS, learning_rate=1e30), generator(0)
+        )

@@ -50,7 +50,7 @@ TINY: dict[str, Any] = {
         "warm_up": {"iterations": 2, "batch_size": 4},
         "first_poses": {"renderings": 8},
         "lessons": {"iterations": 2, "batch_size": 4},
-        "settle": 2,
+        "settle": 0.5,
         "checkpoint_every": 1,
     },
     "fine_tune": {

@@ -56,6 +56,14 @@ def test_a_truncated_archive_is_refused(tmp_path: Path, ending: str, share: floa
         contents(path)
 
 
+def test_an_encrypted_zip_is_refused(tmp_path: Path) -> None:
+    content = bytearray(write_zip(tmp_path / "pictures.zip", {"train/car/1.jpg": b"x"}).read_bytes())
+    content[content.index(b"PK\x01\x02") + 8] |= 1  # the flag, in the table at the end
+    (tmp_path / "locked.zip").write_bytes(content)
+    with pytest.raises(DataError, match=r"'train/car/1\.jpg' is encrypted; unpack the archive and name the folder"):
+        contents(tmp_path / "locked.zip")
+
+
 def test_a_flipped_byte_in_a_zip_is_noticed(tmp_path: Path) -> None:
     path = write_zip(tmp_path / "pictures.zip", tree())
     content = bytearray(path.read_bytes())

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 from torch.optim import SGD, Adam, Optimizer
 
-from pipeline.errors import TrainingDiverged
+from pipeline.errors import DataError, TrainingDiverged
 from pipeline.training.checkpoint import Checkpoint, pack, require_finite, restart_key, unpack
 
 
@@ -100,6 +100,12 @@ def test_cleared_state_is_gone(tmp_path: Path) -> None:
     assert checkpoint.load() is None
 
 
+def test_a_damaged_state_is_named(tmp_path: Path) -> None:
+    (tmp_path / "state.safetensors").touch()
+    with pytest.raises(DataError, match=r"restart state .*state\.safetensors is damaged; remove it"):
+        Checkpoint(tmp_path, "key").load()
+
+
 def test_parts_that_do_not_match_are_refused() -> None:
     with pytest.raises(RuntimeError, match="Missing key"):
         unpack({"model.weight": torch.ones(1, 2)}, model=nn.Linear(2, 1))
@@ -112,26 +118,27 @@ class Settings:
     rate: float
 
 
-def test_the_key_depends_on_config_inputs_seed_and_precision(tmp_path: Path) -> None:
-    def key(rate: float, inputs: list[Path], seed: int, precision: torch.dtype) -> str:
-        return restart_key(Settings(rate), inputs, seed, precision)
+def test_the_key_depends_on_config_inputs_seed_device_and_precision(tmp_path: Path) -> None:
+    def key(rate: float, inputs: list[Path], seed: int, precision: torch.dtype, device: str = "cpu") -> str:
+        return restart_key(Settings(rate), inputs, seed, torch.device(device), precision)
 
     data = tmp_path / "data"
     data.mkdir()
     (data / "car.npy").write_bytes(b"1")
     keys = [key(0.1, [data], 0, torch.float32), key(0.2, [data], 0, torch.float32)]
     keys += [key(0.1, [data], 1, torch.float32), key(0.1, [], 0, torch.float32), key(0.1, [data], 0, torch.bfloat16)]
+    keys.append(key(0.1, [data], 0, torch.float32, "cuda"))
     (data / "car.npy").write_bytes(b"2")
     keys.append(key(0.1, [data], 0, torch.float32))
-    assert len(set(keys)) == 6
-    assert keys[5] == key(0.1, [data], 0, torch.float32)
+    assert len(set(keys)) == 7
+    assert keys[6] == key(0.1, [data], 0, torch.float32)
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_a_loss_that_is_not_finite_stops_the_training(value: float) -> None:
-    require_finite(torch.tensor(1.0), 3)
-    with pytest.raises(TrainingDiverged, match=r"at iteration 17; the last checkpoint before it is kept"):
-        require_finite(torch.tensor(value), 17)
+    require_finite(torch.tensor(1.0), 3, "full training")
+    with pytest.raises(TrainingDiverged, match=r"of full training became .* at iteration 17; what was saved before"):
+        require_finite(torch.tensor(value), 17, "full training")
 
 
 def test_optimizer_state_is_restored_where_the_parameters_are() -> None:

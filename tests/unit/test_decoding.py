@@ -66,6 +66,12 @@ def test_an_unreadable_picture_is_refused(content: bytes) -> None:
         decode(content, "car/7.jpg", 32, "crop")
 
 
+def test_a_picture_that_would_fill_the_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
+    with pytest.raises(DataError, match=r"car/7.jpg cannot be read as a picture \(Image size"):
+        decode(noise(0), "car/7.jpg", 32, "crop")
+
+
 def test_a_picture_that_is_too_small_is_refused() -> None:
     with pytest.raises(DataError, match=r"7.png is 64x20 px; expected at least 32 px along the short side"):
         decode(picture(width=64, height=20), "7.png", 32, "crop")

@@ -55,7 +55,7 @@ def test_json_is_sorted_and_ends_with_a_newline(tmp_path: Path) -> None:
 
 
 def test_json_refuses_values_that_are_not_numbers(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="not JSON compliant"):
+    with pytest.raises(DataError, match="would hold a figure that is not finite"):
         write_json(tmp_path / "value.json", {"loss": float("nan")})
     assert not list(tmp_path.iterdir())
 

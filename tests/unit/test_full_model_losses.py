@@ -43,7 +43,7 @@ def test_only_the_best_head_and_the_student_learn() -> None:
     said = [PoseRegression(*values.split([2, 2, 5], dim=-1)) for values in (student, heads, torch.zeros(2, 9))]
     estimate = Estimate(said[0], said[1], said[2], shape, torch.zeros(2, 3, 4, 4), torch.zeros(2, 3, 4, 4))
     record = Record(torch.tensor([0.6, 0.8, 0.5, 0.5, 0.5, 0.5, 0.5]).expand(2, -1), torch.full((2, 4), -0.5))
-    best = Best(record, torch.zeros(2), head=torch.tensor([2, 0]), winner=torch.zeros(2, dtype=torch.int64))
+    best = Best(record, head=torch.tensor([2, 0]))
     loss = pose_regression(estimate, best)
     # Of the axis the whole unit is missing, of the end .36 and .64 squared, of the others .5.
     torch.testing.assert_close(loss.detach(), torch.tensor(2 * (2 * 1.0 + 2 * 0.5 + 5 * 0.5) / 7))

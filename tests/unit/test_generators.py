@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from pipeline.errors import ConfigError
 from pipeline.files import save_tensors
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.symmetry import mirror_index, reflect
@@ -55,6 +56,12 @@ def test_without_symmetry_shapes_are_free() -> None:
     model = build(constraints=replace(ALL, symmetry=False))
     vertices = scene(model).vertices
     assert not torch.allclose(reflect(vertices)[:, model.mirror_index], vertices, atol=1e-3)
+
+
+@pytest.mark.parametrize("size", [0, 2, 24, 100])
+def test_sizes_between_powers_of_two_are_refused(size: int) -> None:
+    with pytest.raises(ConfigError, match=f"textures and backgrounds cannot be {size} px wide; expected 4, 8, 16"):
+        build(replace(CONFIG, texture_size=size))
 
 
 def test_a_palette_of_one_colour_makes_a_plain_texture() -> None:

@@ -80,7 +80,7 @@ def large_programs(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def full_trainer() -> FullTrainer:
     model = replace(MODEL, renderer=SMALL)
-    config = replace(TRAINING, model=model, batch_size=2, settle=0, exploration=FEW)
+    config = replace(TRAINING, model=model, batch_size=2, settle=0.0, exploration=FEW)
     images = photographs(4)[0][..., ::4, ::4].to(DEVICE)
     directions, faces = (part.to(DEVICE) for part in icosphere(1))
     extractor, base = tiny_extractor().to(DEVICE), Mesh(directions[None] / 2, faces, directions)

@@ -94,6 +94,11 @@ def replaced(name: str, content: bytes | None) -> dict[str, bytes]:
     return release(**{name: content})
 
 
+def damaged(content: bytes) -> bytes:
+    """Overwrite the middle of what is compressed."""
+    return content[:150] + bytes(40) + content[190:]
+
+
 BAD_RELEASES = {
     "no list of ImageNet": (
         replaced("Image_sets/car_imagenet_val.txt", None),
@@ -114,6 +119,10 @@ BAD_RELEASES = {
     ),
     "cut short": (
         replaced("Annotations/car_pascal/2009_1.mat", release()["Annotations/car_pascal/2009_1.mat"][:300]),
+        r"Annotations/car_pascal/2009_1\.mat is not an annotation of PASCAL3D\+ \(.+\); copy it again",
+    ),
+    "damaged inside": (
+        replaced("Annotations/car_pascal/2009_1.mat", damaged(release()["Annotations/car_pascal/2009_1.mat"])),
         r"Annotations/car_pascal/2009_1\.mat is not an annotation of PASCAL3D\+ \(.+\); copy it again",
     ),
     "not MATLAB": (

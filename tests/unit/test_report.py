@@ -93,11 +93,21 @@ def test_a_trimesh_without_three_js_is_named(monkeypatch: pytest.MonkeyPatch) ->
 def test_figures_hold_renderings_and_no_photograph(tmp_path: Path) -> None:
     write_report(inputs(truth=False), CONFIG, tmp_path / "page", tmp_path / "figures")
     files = sorted((tmp_path / "figures").iterdir())
-    assert [file.name for file in files] == ["base_shapes.png", "reconstructions.png", "steps.png"]
-    magenta = torch.tensor([255, 0, 255])
-    for file in files:
-        assert not (read_png(file.read_bytes()) == magenta).all(-1).any()
+    assert [file.name for file in files] == ["base_shapes.png", "examples.png", "reconstructions.png", "steps.png"]
+    assert not any(shows_magenta(file) for file in files)
     assert read_png(files[0].read_bytes()).shape == (2 * (24 + 4) + 4, 4 * (24 + 4) + 4, 3)
+
+
+def test_examples_show_photographs_that_the_project_draws(tmp_path: Path) -> None:
+    write_report(inputs(truth=False)._replace(drawn=True), CONFIG, tmp_path / "page", tmp_path / "figures")
+    shown = [file.name for file in (tmp_path / "figures").iterdir() if shows_magenta(file)]
+    assert shown == ["examples.png"]
+    assert read_png((tmp_path / "figures/examples.png").read_bytes()).shape == (5 * (24 + 4) + 4, 2 * (24 + 4) + 4, 3)
+
+
+def shows_magenta(picture: Path) -> bool:
+    """Say whether a photograph of `inputs` is in a picture."""
+    return bool((read_png(picture.read_bytes()) == torch.tensor([255, 0, 255])).all(-1).any())
 
 
 def test_same_inputs_give_the_same_bytes(tmp_path: Path) -> None:

@@ -85,6 +85,15 @@ def test_names_say_what_is_unusual(params: Path, tmp_path: Path) -> None:
     assert document["datasets"]["market"]["source"] == str(tmp_path)
 
 
+def test_a_second_row_for_the_same_photographs_is_refused(params: Path, tmp_path: Path) -> None:
+    own = {"source": tmp_path, "dataset": "mine", "category": "cat"}
+    turn_on(params, _options("toybox-horse", **own))
+    before = params.read_bytes()
+    with pytest.raises(ConfigError, match="run 'mine-cat' is on with row toybox-horse, not toybox-chair;"):
+        turn_on(params, _options("toybox-chair", **own))
+    assert params.read_bytes() == before
+
+
 @pytest.mark.parametrize(
     ("ablation", "base_shape"),
     [("no-symmetry", "toybox-car-no-symmetry-seed1"), ("no-view-prior", "toybox-car-seed1")],

@@ -1,0 +1,84 @@
+"""The terms of full training's loss: how they are weighed, and which networks learn from them."""
+
+from dataclasses import fields, replace
+
+import pytest
+import torch
+from torch import Tensor, nn
+
+from pipeline.seeding import generator
+from pipeline.training.exploration import Best, Record
+from pipeline.training.full import FullTrainer
+from pipeline.training.photographs import Photographs
+from tests.tiny_full_model import TRAINING, base_mesh, photographs, tiny_extractor
+
+UNWEIGHTED = replace(
+    TRAINING.loss, **{field.name: 0.0 for field in fields(TRAINING.loss) if field.name != "smoothness"}
+)
+POSES = {"pose_encoder", "pose_decoder"}
+TEXTURES = {"texture_encoder", "texture_decoder"}
+BACKGROUNDS = {"background_encoder", "background_decoder"}
+
+
+def trainer_of() -> FullTrainer:
+    images, _ = photographs(4)
+    extractor = tiny_extractor()
+    return FullTrainer(TRAINING, Photographs(images, extractor, 4, 2**30), extractor, base_mesh(), 0)
+
+
+def terms_of(trainer: FullTrainer) -> dict[str, Tensor]:
+    """Compare the photographs with what is recorded of them, which no network has estimated."""
+    images, features = trainer.photographs.batch(torch.arange(4))
+    _, poses = photographs(4)
+    record = Record(poses, torch.zeros(4, trainer.model.shapes.parameter_count))
+    best = Best(record, torch.zeros(4, dtype=torch.int64))
+    return trainer.loss.terms(features, trainer.estimate(images), best, generator(1))
+
+
+@pytest.mark.parametrize(
+    "name", [field.name for field in fields(TRAINING.loss) if field.name not in ("smoothness", "reconstruction")]
+)
+def test_a_term_counts_by_its_weight(name: str) -> None:
+    trainer = trainer_of()
+    trainer.loss.config = replace(UNWEIGHTED, **{name: 3.0})
+    terms = terms_of(trainer)
+    assert terms[name].abs() > 1e-4
+    torch.testing.assert_close(terms["loss"], terms["reconstruction"] + 3 * terms[name])
+
+
+@pytest.mark.parametrize(
+    ("name", "taught"),
+    [
+        ("reconstruction", TEXTURES | BACKGROUNDS),
+        ("feature_matching", TEXTURES | BACKGROUNDS),
+        ("pose_regression", POSES),
+        ("mirrored_regression", POSES),
+        ("rendered_regression", POSES),
+        ("shape_regression", {"shape_encoder", "shape_decoder"}),
+        ("total_variation", TEXTURES),
+        ("view_prior", TEXTURES | BACKGROUNDS | {"discriminator"}),
+    ],
+)
+def test_a_term_teaches_its_networks_alone(name: str, taught: set[str]) -> None:
+    trainer = trainer_of()
+    terms_of(trainer)[name].backward()
+    networks = {**dict(trainer.model.named_children()), "discriminator": trainer.discriminator}
+    assert {part for part, network in networks.items() if learns(network)} == taught
+
+
+def test_the_discriminator_descends_and_textures_ascend() -> None:
+    for part, gains in (("discriminator", True), ("texture", False)):
+        trainer = trainer_of()
+        before = terms_of(trainer)["view_prior"]
+        before.backward()
+        network = trainer.discriminator if part == "discriminator" else trainer.model.texture_decoder
+        with torch.no_grad():
+            for parameter in network.parameters():
+                assert parameter.grad is not None
+                parameter -= 0.05 * parameter.grad / (parameter.grad.norm() + 1e-12)
+        assert (terms_of(trainer)["view_prior"] < before) == gains
+
+
+def learns(network: nn.Module) -> bool:
+    """Say whether a gradient has reached a network."""
+    return any(parameter.grad is not None and bool(parameter.grad.any()) for parameter in network.parameters())
