@@ -64,8 +64,8 @@ def share(batch: Batch, dim: int = 0) -> Batch:
         return type(batch)(*(share(entry, dim) for entry in batch))
     if batch.shape[dim] % size:
         raise ConfigError(
-            f"a batch of {batch.shape[dim]} cannot be shared by {size} processes; set batch sizes to multiples of "
-            f"{size}, or processes to a divisor of them"
+            f"a batch of {batch.shape[dim]} cannot be shared by {size} processes; set batch sizes (or the number of "
+            f"photographs, where it is smaller) to multiples of {size}, or processes to a divisor of them"
         )
     return batch.chunk(size, dim)[rank]  # pyright: ignore[reportReturnType]
 

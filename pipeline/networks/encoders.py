@@ -25,7 +25,7 @@ class EncoderConfig:
     """Residual blocks in each group. ResNet-18 has 2, WRN-16-k has 2."""
 
 
-class ResidualBlock(nn.Module):
+class EncoderBlock(nn.Module):
     """Add two normalised 3x3 convolutions to a shortcut (pre-activation, as in wide residual networks).
 
     Group instead of batch normalisation: a picture's code must not depend on its neighbours in the batch, and the
@@ -98,5 +98,5 @@ class Encoder(nn.Module):
 
 
 def _group(channels_in: int, channels_out: int, blocks: int, stride: int) -> nn.Sequential:
-    first = ResidualBlock(channels_in, channels_out, stride)
-    return nn.Sequential(first, *(ResidualBlock(channels_out, channels_out, 1) for _ in range(blocks - 1)))
+    first = EncoderBlock(channels_in, channels_out, stride)
+    return nn.Sequential(first, *(EncoderBlock(channels_out, channels_out, 1) for _ in range(blocks - 1)))

@@ -185,7 +185,10 @@ class SeedTrainer:
 
     @torch.no_grad()
     def score(self) -> float:
-        """Return the mean reconstruction loss over fresh batches: a label-free measure of a base shape."""
+        """Return the mean reconstruction loss over fresh batches: a label-free measure of a base shape.
+
+        As in a training step, textures are normalised by their batch, whose statistics the generator goes on to collect.
+        """
         losses = [
             self.reconstruction_loss(self.generate(self.config.batch_size)[1])["reconstruction"]
             for _ in range(self.config.score_batches)

@@ -84,6 +84,7 @@ def _sides(degrees: list[str]) -> list[int]:
 
 WHOLE = r"(?!.*(no-|single-stage)).*"
 """Runs without an ablation, and baselines."""
+ABLATIONS = r"toybox-car(-no-.*|-single-stage.*)?"
 CONSISTENCY = {
     "azimuths read within 30°": "multiview.acc_pi6",
     "error, °": "multiview.error_degrees",
@@ -140,7 +141,7 @@ TABLES: dict[str, Table | Confusion] = {
     "base-shape-ablations": Table("evaluate_base_shape", r"toybox-car.*", {"base-shape IoU": "voxel_iou"}),
     "ablations": Table(
         "",
-        r"toybox-car(-no-.*|-single-stage.*)?",
+        ABLATIONS,
         {
             "acc_pi/6 predicted": "pose.test.acc_pi6",
             "fine-tuned": "pose.test_tuned.acc_pi6",
@@ -150,6 +151,17 @@ TABLES: dict[str, Table | Confusion] = {
             "fine-tuned mask IoU": "shape.test_tuned.mask_iou",
             "feature distance": "reconstruction.predicted.feature_distance",
             "fine-tuned distance": "reconstruction.tuned.feature_distance",
+        },
+    ),
+    "ablations-in-short": Table(
+        "",
+        ABLATIONS,
+        {
+            "acc_pi/6 predicted": "pose.test.acc_pi6",
+            "fine-tuned": "pose.test_tuned.acc_pi6",
+            "shape IoU": "shape.test.voxel_iou",
+            "mask IoU": "shape.test.mask_iou",
+            "fine-tuned mask IoU": "shape.test_tuned.mask_iou",
         },
     ),
     "sizes": Table(
