@@ -88,6 +88,7 @@ def test_each_ablation_changes_what_its_name_says() -> None:
     single_stage = {"two_stage": False, "ends": None, "settle": 0.0}
     weights = ("total_variation", "mirrored_regression", "laplacian_squared_weight", "angle_squared_weight")
     free = {"mirror_texture": False, "stripes": False, "mirror": False, **dict.fromkeys(weights, 0)}
+    additions = dict.fromkeys(("iterations", "mirrored_regression", "rendered_regression"), 0)
     assert changed == {
         "none": {},
         **constraints,
@@ -97,6 +98,7 @@ def test_each_ablation_changes_what_its_name_says() -> None:
         "no-first-poses": {"first_poses": None, "ends": None, "settle": 0.0},
         "no-ends": {"ends": None},
         "no-view-prior": {"view_prior": 0},
+        "no-additions": {"first_poses": None, "ends": None, "settle": 0.0, **additions},
     }
 
 
