@@ -24,7 +24,7 @@ from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.wide_resnet import WideResNet
 from pipeline.rendering.renderer import Mesh
 from pipeline.seeding import generator, initialised
-from pipeline.training.full import FullTrainer, FullTrainingConfig
+from pipeline.training.full_trainer import FullTrainer, FullTrainingConfig
 from pipeline.training.photographs import Photographs
 
 PARAMETERS = Path(__file__).parents[1] / "params.yaml"

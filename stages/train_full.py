@@ -16,7 +16,8 @@ from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.full_model import full_model_texts
 from pipeline.networks.scene_generator import load_scenes
 from pipeline.training.checkpoint import Checkpoint, restart_key
-from pipeline.training.full import FullTrainer, FullTrainingConfig, load_base, train_full
+from pipeline.training.full import load_base, train_full
+from pipeline.training.full_trainer import FullTrainer, FullTrainingConfig
 from stages.command_line import parse, run
 
 

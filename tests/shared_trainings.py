@@ -17,7 +17,8 @@ from pipeline.training.ends import EndsConfig
 from pipeline.training.exploration import Record
 from pipeline.training.features import FeatureTrainer
 from pipeline.training.first_poses import first_poses
-from pipeline.training.full import FullTrainer, train_full
+from pipeline.training.full import train_full
+from pipeline.training.full_trainer import FullTrainer
 from pipeline.training.lessons import learn_poses
 from pipeline.training.photographs import Photographs
 from pipeline.training.warm_up import warm_up

@@ -29,8 +29,8 @@ from pipeline.seeding import generator, initialised
 from pipeline.training.azimuths import ConsensusConfig
 from pipeline.training.exploration import ExplorationConfig
 from pipeline.training.first_poses import FirstPosesConfig
-from pipeline.training.full import EllipsoidConfig, FullTrainingConfig
 from pipeline.training.full_losses import LossConfig
+from pipeline.training.full_trainer import EllipsoidConfig, FullTrainingConfig
 from pipeline.training.lessons import LessonsConfig
 from pipeline.training.viewpoints import LightConfig
 from pipeline.training.warm_up import WarmUpConfig

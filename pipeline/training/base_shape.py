@@ -187,7 +187,7 @@ class SeedTrainer:
     def score(self) -> float:
         """Return the mean reconstruction loss over fresh batches: a label-free measure of a base shape.
 
-        As in a training step, textures are normalised by their batch, whose statistics the generator goes on to collect.
+        As in a training step, textures are normalised by their batch; the generator goes on to collect its statistics.
         """
         losses = [
             self.reconstruction_loss(self.generate(self.config.batch_size)[1])["reconstruction"]

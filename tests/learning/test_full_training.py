@@ -19,7 +19,8 @@ from pipeline.training.ends import EndsConfig
 from pipeline.training.exploration import flipped, score
 from pipeline.training.fine_tune import FineTuneConfig, PhaseConfig, fine_tune
 from pipeline.training.first_poses import read_poses
-from pipeline.training.full import FullTrainer, FullTrainingConfig, train_full
+from pipeline.training.full import train_full
+from pipeline.training.full_trainer import FullTrainer, FullTrainingConfig
 from pipeline.training.photographs import Photographs
 from tests.tiny_full_model import MODEL, TRAINING, base_mesh, photographs, tiny_extractor, tiny_model, tiny_scenes
 
@@ -107,8 +108,8 @@ def test_ends_are_turned_as_told_and_elsewhere_as_read(monkeypatch: pytest.Monke
     trainer.visits[7] = 0
     read_as_recorded = torch.tensor([True] * 7 + [False, True, False, True, False])
     read = torch.where(read_as_recorded[:, None], before, flipped(before, 1)[0])
-    monkeypatch.setattr("pipeline.training.full.tell_ends", lambda images, *_: told[: len(images)])
-    monkeypatch.setattr("pipeline.training.full.read_poses", lambda *_: read)
+    monkeypatch.setattr("pipeline.training.full_trainer.tell_ends", lambda images, *_: told[: len(images)])
+    monkeypatch.setattr("pipeline.training.full_trainer.read_poses", lambda *_: read)
     trainer.turn_round(EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 8))
     turned = (trainer.record.pose[:, :2] * before[:, :2]).sum(dim=1) < 0
     assert turned.nonzero().flatten().tolist() == [1, 3, 6, 7, 9, 11]
@@ -120,9 +121,9 @@ def test_ends_told_after_training_are_learned_in_the_last_lessons(
 ) -> None:
     ends = EndsConfig("equally", (1.0,), 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 1000)
     lessons: list[Tensor] = []
-    monkeypatch.setattr("pipeline.training.full.learn_poses", lambda *given: lessons.append(given[3]))
+    monkeypatch.setattr("pipeline.training.full_trainer.learn_poses", lambda *given: lessons.append(given[3]))
     untold = train(TRAINING, tmp_path / "untold")
-    monkeypatch.setattr("pipeline.training.full.tell_ends", lambda images, *_: -torch.ones(len(images)))
+    monkeypatch.setattr("pipeline.training.full_trainer.tell_ends", lambda images, *_: -torch.ones(len(images)))
     told = train(replace(TRAINING, ends=ends), tmp_path / "told")
     visited = told.visits > 0
     assert torch.equal(told.record.pose[visited], flipped(untold.record.pose, 1)[0][visited])

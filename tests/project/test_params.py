@@ -11,7 +11,7 @@ from pipeline.config import load
 from pipeline.training.base_shape import BaseShapeConfig
 from pipeline.training.features import FeaturesConfig
 from pipeline.training.fine_tune import FineTuneConfig
-from pipeline.training.full import FullTrainingConfig
+from pipeline.training.full_trainer import FullTrainingConfig
 from pipeline.training.hologan import HoloGANTrainingConfig
 from tests.project.import_closure import ROOT
 

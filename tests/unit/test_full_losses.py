@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from pipeline.seeding import generator
 from pipeline.training.exploration import Best, Record
-from pipeline.training.full import FullTrainer
+from pipeline.training.full_trainer import FullTrainer
 from pipeline.training.photographs import Photographs
 from tests.tiny_full_model import TRAINING, base_mesh, photographs, tiny_extractor
 

@@ -19,7 +19,8 @@ from pipeline.geometry.icosphere import icosphere
 from pipeline.rendering.renderer import Mesh, RendererConfig
 from pipeline.seeding import generator
 from pipeline.training.base_shape import SeedTrainer, build_sphere
-from pipeline.training.full import FullTrainer, Photographs
+from pipeline.training.full_trainer import FullTrainer
+from pipeline.training.photographs import Photographs
 from pipeline.training.warm_up import draw_sample, warm_up_loss
 from tests.learning.test_base_shape import CONFIG as BASE_SHAPE
 from tests.tiny_full_model import MODEL, TRAINING, photographs, tiny_extractor, tiny_model, tiny_scenes

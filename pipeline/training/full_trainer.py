@@ -1,0 +1,229 @@
+"""The state of full training, and one step of it (paper section 3.2)."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.nn import functional
+
+from pipeline.distributed import agree, average, average_gradients, gather, share
+from pipeline.errors import ConfigError
+from pipeline.geometry.camera import Pose
+from pipeline.networks.discriminator import ViewDiscriminator
+from pipeline.networks.feature_extractor import FeatureExtractor
+from pipeline.networks.full_model import FullModel, FullModelConfig
+from pipeline.networks.pose_coordinates import POSE_COORDINATES
+from pipeline.networks.scene_generator import LearnedScenes
+from pipeline.rendering.renderer import Mesh
+from pipeline.seeding import generator, initialised
+from pipeline.training.checkpoint import Part
+from pipeline.training.ends import EndsConfig, tell_ends
+from pipeline.training.exploration import (
+    Estimate,
+    ExplorationConfig,
+    Record,
+    explore,
+    first_record,
+    flipped,
+    refining,
+)
+from pipeline.training.first_poses import FirstPosesConfig, first_poses, read_poses
+from pipeline.training.full_losses import FullLoss, LossConfig
+from pipeline.training.lessons import LessonsConfig, learn_poses
+from pipeline.training.photographs import Photographs
+from pipeline.training.schedule import falling, set_learning_rate
+from pipeline.training.warm_up import WarmUpConfig, warm_up
+
+
+@dataclass(frozen=True)
+class EllipsoidConfig:
+    """The shape that single-stage training starts from (paper section 4.1.3)."""
+
+    dimensions: tuple[float, float, float]
+    """Width, height and depth, up to a common factor."""
+    subdivisions: int
+    """Of the icosphere."""
+
+
+@dataclass(frozen=True)
+class FullTrainingConfig:
+    """Settings of full training."""
+
+    iterations: int
+    batch_size: int
+    learning_rate: float
+    betas: tuple[float, float]
+    cool_down: int
+    """The last iterations, over which the learning rate falls to zero; the paper has none."""
+    photographs_per_iteration: float
+    """Iteration i draws from the first i times this many photographs; the paper's curriculum has 1."""
+    model: FullModelConfig
+    ellipsoid: EllipsoidConfig
+    warm_up: WarmUpConfig
+    """Of two-stage training alone, like `first_poses`: there is nothing to render without a base shape."""
+    first_poses: FirstPosesConfig | None
+    """None leaves records at the paper's random poses."""
+    lessons: LessonsConfig
+    """From the first poses, from the recorded ones when ends are told apart, and from those after training."""
+    ends: EndsConfig | None
+    """None leaves ends as they are recorded."""
+    settle: float
+    """The first part of the iterations, in which poses are refined, but not turned to the object's far side at once:
+    textures that mean nothing yet would choose between its ends blindly, and undo what `ends` told
+    (docs/decisions.md). 1 is all of them, which leaves random, turned and flipped poses out."""
+    exploration: ExplorationConfig
+    loss: LossConfig
+    discriminator_width: int
+    curve_every: int
+    """Iterations that one row of the curve averages."""
+    checkpoint_every: int
+    """Iterations between restart states."""
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError where `settle` is not a part of the training."""
+        if not 0 <= self.settle <= 1:
+            raise ConfigError(f"train_full.settle is {self.settle}; expected a part of the iterations, from 0 to 1")
+
+
+class FullTrainer:
+    """Hold everything that changes during full training, and change it one step at a time."""
+
+    def __init__(
+        self,
+        config: FullTrainingConfig,
+        photographs: Photographs,
+        extractor: FeatureExtractor,
+        base: Mesh,
+        seed: int,
+    ) -> None:
+        """Build networks, as precise as the extractor, optimiser and random streams from the seed."""
+        device = photographs.images.device
+        self.config, self.photographs, self.extractor = config, photographs, extractor
+        with initialised(seed, "full_model"):
+            self.model = FullModel(config.model, base, extractor.precision).to(device)
+        self.model.standardize(photographs.images[: 4 * config.batch_size].float() / 255)
+        with initialised(seed, "view_discriminator"):
+            self.discriminator = ViewDiscriminator(config.discriminator_width, POSE_COORDINATES).to(device)
+        self.loss = FullLoss(config.loss, self.model, self.discriminator, extractor)
+        parameters = [*self.model.parameters(), *self.discriminator.parameters()]
+        self.optimizer = torch.optim.Adam(parameters, lr=config.learning_rate, betas=config.betas, fused=True)
+        self.rng = generator(seed, "full_training", device=device)
+        self.record = first_record(self.model, len(photographs.images), self.rng)
+        self.visits = torch.zeros(len(photographs.images), dtype=torch.int64, device=device)
+        agree([*self.model.state_dict().values(), *self.discriminator.state_dict().values()])
+
+    def draw(self, iteration: int) -> Int[Tensor, " B"]:
+        """Draw different photographs from the first to the i-th, counted from 1 (paper section 3.2.3)."""
+        config, count = self.config, len(self.photographs.images)
+        reached = int(config.photographs_per_iteration * (iteration + 1))
+        among = min(count, max(config.batch_size, reached))
+        order = torch.randperm(among, generator=self.rng, device=self.rng.device)
+        return order[: config.batch_size]
+
+    def step(self, iteration: int) -> dict[str, Float[Tensor, ""]]:
+        """Explore, record, and take one optimisation step; return the terms of the loss, on the device.
+
+        Every process explores for its share of the photographs and records what all of them found.
+        """
+        index = self.draw(iteration)
+        own = share(index)
+        images, features = self.photographs.batch(own)
+        estimate = self.estimate(images)
+        settled = iteration >= self.config.settle * self.config.iterations
+        exploration = self.config.exploration if settled else refining(self.config.exploration)
+        best = explore(self.model, self.extractor, features, estimate, self.record.rows(own), exploration, self.rng)
+        self.record.pose[index], self.record.shape[index] = gather(best.record.pose), gather(best.record.shape)
+        self.visits[index] += 1
+        losses = self.loss.terms(features, estimate, best, self.rng)
+        config = self.config
+        set_learning_rate(falling(config.learning_rate, iteration, config.iterations, config.cool_down), self.optimizer)
+        self.optimizer.zero_grad(set_to_none=True)
+        losses["loss"].backward()
+        average_gradients(self.optimizer)
+        self.optimizer.step()
+        return {name: average(loss.detach()) for name, loss in losses.items()}
+
+    def start_from(self, scenes: LearnedScenes) -> None:
+        """Learn to read the base shape's renderings; record first poses of the first photographs from all seeds' ones.
+
+        The pose networks, which learn them, read the poses of the others.
+        """
+        config, first = self.config, self.config.first_poses
+        warm_up(self.model, scenes.generators[0], config.warm_up, self.rng)
+        if first is None:
+            return
+        photographs = self.photographs.images
+        images = photographs[: first.photographs]
+        poses = first_poses(self.model, scenes, self.extractor, images, first, config.warm_up.light, self.rng)
+        agree([poses])
+        index = torch.arange(len(poses), device=poses.device)
+        learn_poses(self.model, photographs, index, poses, config.lessons, self.rng)
+        if len(poses) < len(photographs):
+            poses = torch.cat([poses, read_poses(self.model, photographs, len(poses))])
+            agree([poses])
+        self.record = Record(poses, self.record.shape)
+
+    def turn_round(self, config: EndsConfig) -> None:
+        """Turn recorded poses of photographs that show the opposite ends, and let the pose networks learn them.
+
+        Photographs beyond the first, or without a visit, show the ends that the networks then read off them.
+        """
+        surely = self._turn_told(config)
+        if not surely.any():
+            return
+        poses = self.record.pose
+        self._learn(surely.nonzero().flatten(), poses)
+        read = read_poses(self.model, self.photographs.images)
+        agree([read])
+        opposite = ~surely & ((read[:, :2] * poses[:, :2]).sum(dim=1) < 0)
+        self.record = Record(torch.where(opposite[:, None], flipped(poses, 1)[0], poses), self.record.shape)
+
+    def review(self) -> None:
+        """Let the pose networks learn the recorded poses of all photographs that were visited."""
+        index = self.visits.nonzero().flatten()
+        if len(index):
+            self._learn(index, self.record.pose)
+
+    def _turn_told(self, config: EndsConfig) -> Bool[Tensor, " N"]:
+        """Turn recorded poses of the first photographs that show the opposite ends; tell which are now sure."""
+        images, poses, model = self.photographs.images[: config.photographs], self.record.pose, self.model
+        read = read_poses(model, images)
+        told = tell_ends(images, poses[: len(read)], read, model.poses, self.extractor, config, self.rng)
+        agree([told])
+        told = functional.pad(told, (0, len(poses) - len(told)))
+        self.record = Record(torch.where(told[:, None] < 0, flipped(poses, 1)[0], poses), self.record.shape)
+        return (told != 0) & (self.visits > 0)
+
+    def _learn(self, index: Int[Tensor, " P"], poses: Float[Tensor, "N 7"]) -> None:
+        learn_poses(self.model, self.photographs.images, index, poses[index], self.config.lessons, self.rng)
+
+    def estimate(self, images: Float[Tensor, "B 3 H W"]) -> Estimate:
+        """Run all encoders and decoders on a batch of photographs."""
+        model = self.model
+        pose_code, mirrored_code = model.pose_encoder(torch.cat([images, images.flip(-1)])).chunk(2)
+        return Estimate(
+            model.pose_decoder(pose_code),
+            model.pose_decoder.ensemble(pose_code),
+            model.pose_decoder(mirrored_code),
+            model.shape_decoder(model.shape_encoder(images)),
+            model.texture_decoder(model.texture_encoder(images)),
+            model.background_decoder(model.background_encoder(images)),
+        )
+
+    @torch.no_grad()
+    def recorded_pose(self) -> Pose:
+        """Return the best poses of all training photographs; those without a visit have the one they started with."""
+        return self.model.poses(self.record.pose, self.model.shapes(self.record.shape))
+
+    def parts(self) -> dict[str, Part]:
+        """Name everything a restart state has to hold."""
+        return {
+            "model": self.model,
+            "discriminator": self.discriminator,
+            "optimizer": self.optimizer,
+            "rng": self.rng,
+            "pose": self.record.pose,
+            "shape": self.record.shape,
+            "visits": self.visits,
+        }
