@@ -26,7 +26,7 @@ class ProcessKilled(UserError):
 
 
 class TrainingDiverged(UserError):
-    """Report a loss that is no longer finite; the last checkpoint before it is kept."""
+    """Report a loss that is no longer finite; what was saved before it is kept."""
 
 
 class DeviceError(UserError):
