@@ -1,5 +1,9 @@
+from dataclasses import replace
+
+import pytest
 import torch
 
+from pipeline.errors import MeshError
 from pipeline.geometry.camera import CameraConfig
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.mesh_quality import measure_remeshing
@@ -33,6 +37,11 @@ def test_sphere_becomes_a_car_of_even_polygons() -> None:
     assert measured["map_flipped_faces"] == 0
     mirror = mirror_index(fitted.directions)
     assert torch.equal(fitted.vertices[mirror], reflect(fitted.vertices))
+
+
+def test_a_remeshing_that_diverges_is_an_error() -> None:
+    with pytest.raises(MeshError, match="vertices that are not finite numbers"):
+        remesh_by_silhouettes(MappedMesh(*deformed_sphere("car")), replace(CONFIG, iterations=3, learning_rate=1e30))
 
 
 def test_views_lie_all_around() -> None:
