@@ -15,6 +15,7 @@ from PIL import Image
 from pipeline.errors import DataError
 from pipeline.export.picture import data_uri, encode_png, enlarge, tile
 from pipeline.export.report import choose_examples, write_report
+from pipeline.export.report_pictures import Gallery
 from pipeline.export.viewer import three_js
 from pipeline.export.views import on_white, render_clay, render_textured
 from pipeline.geometry.icosphere import icosphere
@@ -108,6 +109,20 @@ def test_examples_show_photographs_that_the_project_draws(tmp_path: Path) -> Non
 def shows_magenta(picture: Path) -> bool:
     """Say whether a photograph of `inputs` is in a picture."""
     return bool((read_png(picture.read_bytes()) == torch.tensor([255, 0, 255])).all(-1).any())
+
+
+def test_boxed_objects_fill_their_other_views() -> None:
+    given = inputs(truth=False)
+    far = given.reconstructions.tuned.pose._replace(scale=torch.full((4,), 0.3))
+    found = given.reconstructions._replace(tuned=given.reconstructions.tuned._replace(pose=far))
+    reach = {}
+    for framing in ("free", "box"):
+        gallery = Gallery(found, given.photographs, CAMERA, framing, VIEW)
+        other = gallery.renderings(torch.tensor([0]), other_view=90.0)[0, 2]
+        drawn = (other - 0.5).abs().amax(dim=0) > 0.1
+        reach[framing] = max(drawn.any(dim=0).sum().item(), drawn.any(dim=1).sum().item())
+    assert reach["free"] < 8
+    assert reach["box"] >= 15
 
 
 def test_same_inputs_give_the_same_bytes(tmp_path: Path) -> None:
