@@ -131,7 +131,8 @@ def test_an_unprepared_category_is_named(tmp_path: Path) -> None:
 def test_pictures_of_another_size_than_the_renderings_are_named(tmp_path: Path) -> None:
     np.save(tmp_path / "car.npy", np.zeros((2, 32, 32, 3), dtype=np.uint8))
     assert load_images_of_size(tmp_path / "car.npy", 32).shape == (2, 3, 32, 32)
-    with pytest.raises(DataError, match=r"car.npy holds pictures of 32 px, but renderer.size is 64; give"):
+    sentence = r"car.npy holds pictures of 32 px, but renderer.size is 64; prepare the photographs under another name"
+    with pytest.raises(DataError, match=sentence):
         load_images_of_size(tmp_path / "car.npy", 64)
 
 
