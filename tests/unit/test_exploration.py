@@ -5,8 +5,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from pipeline.losses.image_distance import feature_distance
-from pipeline.networks.feature_extractor import extract
+from pipeline.losses.image_distance import Features, feature_distance
+from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.seeding import generator
 from pipeline.training.exploration import (
@@ -85,12 +85,20 @@ def test_flipped_candidates_look_alike_from_outside() -> None:
     torch.testing.assert_close(poses[4:7, :, 2:], record.pose[:, 2:].expand(3, -1, -1))
 
 
+def distances(
+    model: FullModel, extractor: FeatureExtractor, features: Features, estimate: Estimate, record: Record
+) -> Tensor:
+    """Return how far one candidate is from each photograph."""
+    return score(model, extractor, features, estimate, record.pose[None], record.shape[None], CONFIG.map_weights)[0]
+
+
 def test_the_true_pose_wins_and_its_loss_is_zero() -> None:
     model, extractor = tiny_model(), tiny_extractor()
     estimate, record = estimate_of(model, 3), first_record(model, 3, generator(0))
     features = extractor(pictures_of(model, estimate, record))
     best = explore(model, extractor, features, estimate, record, CONFIG, generator(1))
     torch.testing.assert_close(best.record.pose, record.pose)
+    assert distances(model, extractor, features, estimate, best.record).amax() < 1e-3
 
 
 def test_comparison_sees_directions_of_features_and_weights_of_maps() -> None:
@@ -110,10 +118,7 @@ def test_exploring_never_ends_above_the_record_and_finds_the_best_head() -> None
     estimate, record = estimate_of(model, 4), first_record(model, 4, generator(0))
     best = explore(model, extractor, features, estimate, record, CONFIG, generator(1))
     zeros = torch.zeros(1, 4, model.shapes.parameter_count)
-    recorded, won = (
-        score(model, extractor, features, estimate, found.pose[None], found.shape[None], CONFIG.map_weights)[0]
-        for found in (record, best.record)
-    )
+    recorded, won = (distances(model, extractor, features, estimate, found) for found in (record, best.record))
     assert (won <= recorded + 1e-4).all()
     assert (won < recorded - 1e-3).any()
     of_heads = score(
@@ -156,6 +161,8 @@ def test_a_refined_record_keeps_its_side_even_where_the_other_one_fits() -> None
     torch.testing.assert_close(free.record.pose, truth.pose)
     kept = explore(model, extractor, features, estimate, record, refining(CONFIG), generator(1))
     assert within_reach(kept.record.pose[None], opposite, 90).all()
+    nearest, near = (distances(model, extractor, features, estimate, found.record) for found in (free, kept))
+    assert (near > nearest).all()
     assert free.head.tolist() == [0, 0, 0]
     assert kept.head.tolist() == [1, 1, 1]
     elsewhere = torch.cat([truth.pose[:, :6], -truth.pose[:, 6:].sign()], 1)
