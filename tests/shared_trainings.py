@@ -68,9 +68,8 @@ def train(folder: Path, dying: int | None) -> None:
 def _features() -> dict[str, Tensor]:
     config = replace(test_train_features.CONFIG, batch_size=16)
     trainer = FeatureTrainer(config, test_train_features.bars(32, 0), test_train_features.NO_WEIGHTS, torch.float32, 0)
-    for iteration in range(2):
-        trainer.step(iteration)
-    return {**_weights("features", trainer.network), "features.loss": trainer.loss_sum}
+    losses = [trainer.step(iteration)["train_loss"] for iteration in range(2)]
+    return {**_weights("features", trainer.network), "features.losses": torch.stack(losses)}
 
 
 def _base_shape() -> dict[str, Tensor]:

@@ -65,7 +65,9 @@ def _cut(picture: Image.Image, name: str, box: Box, size: int) -> UInt8[np.ndarr
 def _reading(name: str) -> Iterator[None]:
     try:
         yield
-    except (UnidentifiedImageError, Image.DecompressionBombError, OSError, SyntaxError, ValueError) as error:
+    except UnidentifiedImageError:  # its text names the buffer, not the picture
+        raise DataError(f"{name} cannot be read as a picture (unknown format); replace or remove it") from None
+    except (Image.DecompressionBombError, OSError, SyntaxError, ValueError) as error:
         raise DataError(f"{name} cannot be read as a picture ({error}); replace or remove it") from None
 
 

@@ -63,12 +63,12 @@ def render(
     vertices_ndc = project(mesh.vertices, pose, config.camera)
     fragments = rasterize(vertices_ndc, mesh.faces, config.size * config.supersampling)
     directions = interpolate(mesh.directions.expand(len(vertices_ndc), -1, -1), mesh.faces, fragments)
-    colors = sample_sphere_texture(texture_maps, directions)
+    colors = sample_sphere_texture(texture_maps, directions)  # 0 where nothing is covered, as directions are
     if light is not None:
         reflected = shade(mesh.vertices, mesh.faces, light)[..., None]
         colors = colors * interpolate(reflected, mesh.faces, fragments).permute(0, 3, 1, 2)
     covered = (fragments.face_index >= 0).to(colors.dtype)[:, None]
-    layers = antialias(torch.cat((colors * covered, covered), dim=1), fragments, vertices_ndc, mesh.faces)
+    layers = antialias(torch.cat((colors, covered), dim=1), fragments, vertices_ndc, mesh.faces)
     layers = avg_pool2d(layers, config.supersampling)
     images, silhouettes = layers[:, :3], layers[:, 3]
     if backgrounds is not None:

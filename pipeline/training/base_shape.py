@@ -7,10 +7,9 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from tqdm import tqdm
 
 from pipeline.datasets.images import Images
-from pipeline.distributed import agree, average, average_gradients, divide, share, silent, whole
+from pipeline.distributed import agree, average, average_gradients, divide, share, whole
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.symmetry import mirror_index
@@ -23,8 +22,9 @@ from pipeline.networks.pose_coordinates import Framing, fill_picture
 from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, Scene, SceneConfig, SceneGenerator
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 from pipeline.seeding import generator, initialised
-from pipeline.training.checkpoint import Checkpoint, pack, read_losses, unpack
+from pipeline.training.checkpoint import Checkpoint, Part
 from pipeline.training.curves import Curve
+from pipeline.training.loop import Schedule, train
 from pipeline.training.photographs import Photographs
 from pipeline.training.schedule import falling, set_learning_rate
 from pipeline.training.viewpoints import LightConfig, ViewpointConfig, sample_lights, sample_viewpoints
@@ -43,6 +43,7 @@ class BaseShapeConfig:
         subdivisions: of the icosphere; 3 gives 642 vertices.
         framing: `box` lets the object fill each rendering, like photographs cut to their boxes.
         score_batches: batches of photographs and renderings that the score is averaged over.
+        curve_every: iterations that one row of the curve averages.
         checkpoint_every: iterations between restart states.
     """
 
@@ -64,6 +65,7 @@ class BaseShapeConfig:
     renderer: RendererConfig
     smoothness: SmoothnessConfig
     score_batches: int
+    curve_every: int
     checkpoint_every: int
 
 
@@ -125,7 +127,6 @@ class SeedTrainer:
     ) -> None:
         device = sphere.directions.device
         self.config, self.sphere, self.photographs, self.extractor = config, sphere, photographs, extractor
-        self.index = index
         dimensions = torch.tensor(config.initial_dimensions, device=device)
         with initialised(seed, "base_shape", index):
             self.scene = SceneGenerator(
@@ -177,6 +178,10 @@ class SeedTrainer:
         self.optimizer.step()
         return {name: average(loss.detach()) for name, loss in losses.items()}
 
+    def parts(self) -> dict[str, Part]:
+        """Name everything a restart state has to hold."""
+        return {"scene": self.scene, "optimizer": self.optimizer, "rng": self.rng}
+
     @torch.no_grad()
     def shape(self) -> Float[Tensor, "V 3"]:
         """Return the mean of the generated shapes, which collapse to one (paper 3.1.7)."""
@@ -220,11 +225,13 @@ def learn_base_shape(
     """
     sphere = build_sphere(config.subdivisions, next(extractor.parameters()).device)
     photographs = Photographs(images, extractor, config.batch_size, memory)
+    schedule = Schedule(config.iterations, config.curve_every, config.checkpoint_every)
 
     def learn(index: int) -> Learned:
         trainer = SeedTrainer(config, sphere, photographs, extractor, seed, index)
-        curve = _train(trainer, Checkpoint(checkpoints / str(index), key))
-        return Learned(trainer.shape().cpu(), trainer.score(), trainer.scene.cpu(), curve.rows)
+        curve = train(trainer, schedule, f"base shape {index}", Checkpoint(checkpoints / str(index), key))
+        rows = [{"seed": index, **row} for row in curve.rows]
+        return Learned(trainer.shape().cpu(), trainer.score(), trainer.scene.cpu(), rows)
 
     learned = divide(learn, config.seeds)
     scores = [one.score for one in learned]
@@ -233,23 +240,3 @@ def learn_base_shape(
     vertices = torch.stack([one.vertices for one in learned])
     generators = [one.generator for one in learned]
     return BaseShapes(sphere, vertices, torch.tensor(scores), best, generators, curve)
-
-
-def _train(trainer: SeedTrainer, checkpoint: Checkpoint) -> Curve:
-    config = trainer.config
-    parts = {"scene": trainer.scene, "optimizer": trainer.optimizer, "rng": trainer.rng}
-    curve, unread, first = Curve(), [], 0
-    if (restored := checkpoint.load()) is not None:
-        tensors, values = restored
-        unpack(tensors, **parts)
-        curve, first = Curve(values["rows"]), values["iteration"]
-    steps = range(first, config.iterations)
-    for iteration in tqdm(steps, f"seed {trainer.index}", initial=first, total=config.iterations, disable=silent()):
-        unread.append(trainer.step(iteration))
-        if (iteration + 1) % config.checkpoint_every == 0 or iteration + 1 == config.iterations:
-            rows = read_losses(unread, iteration, "base-shape learning")
-            for number, losses in enumerate(rows, iteration + 1 - len(unread)):
-                curve.append(number, seed=trainer.index, **losses)
-            unread = []
-            checkpoint.save(pack(**parts), {"iteration": iteration + 1, "rows": curve.rows})
-    return curve

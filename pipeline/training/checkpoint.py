@@ -61,11 +61,8 @@ def restart_key(config: object, inputs: Sequence[Path], seed: int, device: torch
     That is the config, the seed, the kind of device (random generators differ), the precision, the bytes of the inputs,
     which are files or directories, every Python file of the `pipeline` package, and PyTorch's version.
     """
-    code = [sha256(path) for path in sorted(LIBRARY.rglob("*.py"))]
-    everything = (
-        *(repr(config), seed, device.type, str(precision)),
-        *([sha256(path) for path in inputs], code, torch.__version__),
-    )
+    contents = [sha256(path) for path in [*inputs, *sorted(LIBRARY.rglob("*.py"))]]
+    everything = [config, seed, device.type, precision, contents, torch.__version__]
     return hashlib.sha256(repr(everything).encode()).hexdigest()
 
 
@@ -90,11 +87,6 @@ def unpack(tensors: Mapping[str, Tensor], **parts: Part) -> None:
         else:
             with torch.no_grad():
                 part.copy_(tensors[name])
-
-
-def require_finite(loss: Tensor, iteration: int, phase: str) -> None:
-    """Raise TrainingDiverged unless the loss is finite; call it before the next checkpoint."""
-    read_losses([{"loss": loss.detach()}], iteration, phase)
 
 
 def read_losses(rows: Sequence[Mapping[str, Float[Tensor, ""]]], iteration: int, phase: str) -> list[dict[str, float]]:

@@ -7,18 +7,18 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 import torch
-from jaxtyping import Int, UInt8
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor, nn
 from torch.nn import functional
-from tqdm import tqdm
 
 from pipeline.datasets.images import Images, load_images, place_images
-from pipeline.distributed import agree, average, average_gradients, share, silent
+from pipeline.distributed import agree, average, average_gradients, share
 from pipeline.errors import ConfigError, DataError
 from pipeline.networks.wide_resnet import WideResNet, load_wide_resnet
 from pipeline.seeding import generator, initialised
+from pipeline.training import loop
 from pipeline.training.augmentation import crop_and_mirror, to_float, turn
-from pipeline.training.checkpoint import Checkpoint, pack, require_finite, unpack
+from pipeline.training.checkpoint import Checkpoint, Part
 from pipeline.training.curves import Curve
 from pipeline.training.schedule import set_learning_rate
 
@@ -102,13 +102,12 @@ class FeatureTrainer:
         self.network = _build_network(config, train, initial, seed).to(device)
         self.optimizer = _build_optimizer(config, self.network)
         self.rng = generator(seed, "features", "augmentation", device=device)
-        self.loss_sum = torch.zeros((), device=device)
         self.epoch, self.order = -1, torch.zeros(0, dtype=torch.int64, device=device)
         agree(self.network.state_dict().values())
 
-    def parts(self) -> dict[str, nn.Module | torch.optim.Optimizer | torch.Generator | Tensor]:
-        """Return what a checkpoint must hold."""
-        return {"network": self.network, "optimizer": self.optimizer, "rng": self.rng, "loss_sum": self.loss_sum}
+    def parts(self) -> dict[str, Part]:
+        """Name everything a restart state has to hold."""
+        return {"network": self.network, "optimizer": self.optimizer, "rng": self.rng}
 
     def batch(self, iteration: int) -> Batch:
         """Draw the iteration's pictures, augmented, and what the network must tell of them."""
@@ -123,10 +122,13 @@ class FeatureTrainer:
         quarters = torch.randint(4, (len(index),), generator=self.rng, device=self.rng.device)
         return Batch(turn(images, quarters), quarters)
 
-    def step(self, iteration: int) -> None:
-        """Take one optimisation step."""
-        rate = self.config.learning_rate * one_cycle(iteration, self.iterations, self.config.warm_up)
-        set_learning_rate(rate, self.optimizer)
+    def learning_rate(self, iteration: int) -> float:
+        """Return the learning rate of an iteration."""
+        return self.config.learning_rate * one_cycle(iteration, self.iterations, self.config.warm_up)
+
+    def step(self, iteration: int) -> dict[str, Float[Tensor, ""]]:
+        """Take one optimisation step and return its loss, on the device."""
+        set_learning_rate(self.learning_rate(iteration), self.optimizer)
         images, labels = share(self.batch(iteration))
         with _multiplying_in(self.precision, images.device):
             scores = self.network.train(self.config.method != "transfer")(to_float(images))
@@ -135,7 +137,7 @@ class FeatureTrainer:
         loss.backward()
         average_gradients(self.optimizer)
         self.optimizer.step()
-        self.loss_sum += average(loss.detach())
+        return {"train_loss": average(loss.detach())}
 
 
 def train_features(
@@ -153,28 +155,14 @@ def train_features(
 
     A killed call that is repeated with the same checkpoint returns the same bytes (CPU). Raises TrainingDiverged.
     """
-    trainer, curve, first = FeatureTrainer(config, train, initial, precision, seed), Curve(), 0
-    if (restored := checkpoint.load()) is not None:
-        tensors, values = restored
-        unpack(tensors, **trainer.parts())
-        curve, first = Curve(values["rows"]), values["iteration"]
-    for iteration in tqdm(
-        range(first, trainer.iterations), "features", initial=first, total=trainer.iterations, disable=silent()
-    ):
-        trainer.step(iteration)
-        done = iteration + 1
-        if done % trainer.iterations_per_epoch == 0:
-            require_finite(trainer.loss_sum, iteration, "feature training")
-            curve.append(
-                done,
-                learning_rate=config.learning_rate * one_cycle(iteration, trainer.iterations, config.warm_up),
-                train_loss=trainer.loss_sum.item() / trainer.iterations_per_epoch,
-                test_accuracy=accuracy(trainer.network, test, config, precision),
-            )
-            trainer.loss_sum.zero_()
-        if done % config.checkpoint_every == 0 or done == trainer.iterations:
-            require_finite(trainer.loss_sum, iteration, "feature training")
-            checkpoint.save(pack(**trainer.parts()), {"iteration": done, "rows": curve.rows})
+    trainer = FeatureTrainer(config, train, initial, precision, seed)
+
+    def observe(iteration: int) -> dict[str, float]:
+        right = accuracy(trainer.network, test, config, precision)
+        return {"learning_rate": trainer.learning_rate(iteration), "test_accuracy": right}
+
+    schedule = loop.Schedule(trainer.iterations, trainer.iterations_per_epoch, config.checkpoint_every)
+    curve = loop.train(trainer, schedule, "feature training", checkpoint, observe=observe)
     return trainer.network.eval(), curve
 
 

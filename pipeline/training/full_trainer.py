@@ -124,8 +124,10 @@ class FullTrainer:
     def step(self, iteration: int) -> dict[str, Float[Tensor, ""]]:
         """Explore, record, and take one optimisation step; return the terms of the loss, on the device.
 
-        Every process explores for its share of the photographs and records what all of them found.
+        Ends are told before the step where `ends.after` says so. Every process explores for its share of the
+        photographs and records what all of them found.
         """
+        self._tell_ends(iteration)
         index = self.draw(iteration)
         own = share(index)
         images, features = self.photographs.batch(own)
@@ -179,11 +181,17 @@ class FullTrainer:
         opposite = ~surely & ((read[:, :2] * poses[:, :2]).sum(dim=1) < 0)
         self.record = Record(torch.where(opposite[:, None], flipped(poses, 1)[0], poses), self.record.shape)
 
-    def review(self) -> None:
-        """Let the pose networks learn the recorded poses of all photographs that were visited."""
+    def finish(self) -> None:
+        """Tell ends where they are to be told after training, and let the pose networks learn all visited records."""
+        self._tell_ends(self.config.iterations)
         index = self.visits.nonzero().flatten()
         if len(index):
             self._learn(index, self.record.pose)
+
+    def _tell_ends(self, done: int) -> None:
+        ends = self.config.ends
+        if ends is not None and done in (int(part * self.config.iterations) for part in ends.after):
+            self.turn_round(ends)
 
     def _turn_told(self, config: EndsConfig) -> Bool[Tensor, " N"]:
         """Turn recorded poses of the first photographs that show the opposite ends; tell which are now sure."""

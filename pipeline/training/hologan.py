@@ -7,13 +7,13 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional
 from torch.optim import Adam
-from tqdm import tqdm
 
 from pipeline.errors import DataError
 from pipeline.networks.hologan import HoloDiscriminator, HoloGANConfig, HoloGenerator
 from pipeline.seeding import generator, initialised
-from pipeline.training.checkpoint import Checkpoint, Part, pack, require_finite, unpack
+from pipeline.training.checkpoint import Checkpoint, Part
 from pipeline.training.curves import Curve
+from pipeline.training.loop import Schedule, train
 from pipeline.training.schedule import falling, set_learning_rate
 from pipeline.training.viewpoints import ViewpointConfig, sample_viewpoints
 
@@ -27,7 +27,7 @@ class HoloGANTrainingConfig:
         generator_steps: steps of the generator for one of the discriminator.
         identity: weight of the identity regularizer, the squared error of the noise read off generated pictures.
         viewpoint: the distribution that objects are turned by.
-        curve_every: iterations between rows of the curve.
+        curve_every: iterations that one row of the curve averages.
         checkpoint_every: iterations between restart states.
     """
 
@@ -58,7 +58,6 @@ class HoloGANTrainer:
             for network in (self.generator, self.discriminator)
         )
         self.rng = generator(seed, "hologan", device=device)
-        self.losses = torch.zeros(3, device=device)
 
     def parts(self) -> dict[str, Part]:
         """Name everything a restart state has to hold."""
@@ -68,11 +67,13 @@ class HoloGANTrainer:
             "generator_optimizer": self.generator_optimizer,
             "discriminator_optimizer": self.discriminator_optimizer,
             "rng": self.rng,
-            "losses": self.losses,
         }
 
-    def step(self, iteration: int) -> None:
-        """Improve the discriminator once and the generator `generator_steps` times on the same noise and views."""
+    def step(self, iteration: int) -> dict[str, Float[Tensor, ""]]:
+        """Improve the discriminator once and the generator `generator_steps` times on the same noise and views.
+
+        Returns the losses of the discriminator and of the generator's last step, on the device.
+        """
         config = self.config
         rate = falling(config.learning_rate, iteration, config.iterations, config.iterations / 2)
         set_learning_rate(rate, self.generator_optimizer, self.discriminator_optimizer)
@@ -83,7 +84,9 @@ class HoloGANTrainer:
             generated = self.generator(*draw)
         discrimination = self._improve_discriminator(generated, latent)
         improvements = [self._improve_generator(*draw) for _ in range(config.generator_steps)]
-        self.losses += torch.stack([discrimination, *improvements[-1]]).detach()
+        imitation, identity = improvements[-1]
+        losses = {"discriminator": discrimination, "generator": imitation, "identity": identity}
+        return {name: loss.detach() for name, loss in losses.items()}
 
     def _improve_discriminator(
         self, generated: Float[Tensor, "B 3 H W"], latent: Float[Tensor, "B K"]
@@ -120,22 +123,6 @@ def train_hologan(
     size = config.network.image_size
     if images.shape[2:] != (size, size):
         raise DataError(f"train_hologan.network.image_size is {size}; photographs are {images.shape[3]} pixels wide")
-    trainer, curve, first = HoloGANTrainer(config, images, seed), Curve(), 0
-    if (restored := checkpoint.load()) is not None:
-        tensors, values = restored
-        unpack(tensors, **trainer.parts())
-        curve, first = Curve(values["rows"]), values["iteration"]
-    steps = range(first, config.iterations)
-    for iteration in tqdm(steps, "HoloGAN", initial=first, total=config.iterations, disable=None):
-        trainer.step(iteration)
-        done = iteration + 1
-        last = done == config.iterations
-        if last or any(done % every == 0 for every in (config.curve_every, config.checkpoint_every)):
-            require_finite(trainer.losses.sum(), iteration, "HoloGAN")
-        if last or done % config.curve_every == 0:
-            means = (trainer.losses / (iteration % config.curve_every + 1)).tolist()
-            curve.append(done, **dict(zip(("discriminator", "generator", "identity"), means, strict=True)))
-            trainer.losses.zero_()
-        if done % config.checkpoint_every == 0:
-            checkpoint.save(pack(**trainer.parts()), {"iteration": done, "rows": curve.rows})
-    return trainer.generator, curve
+    trainer = HoloGANTrainer(config, images, seed)
+    schedule = Schedule(config.iterations, config.curve_every, config.checkpoint_every)
+    return trainer.generator, train(trainer, schedule, "HoloGAN", checkpoint)

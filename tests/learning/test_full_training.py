@@ -138,7 +138,7 @@ def test_ends_are_told_when_the_config_says(
 ) -> None:
     ends = None if after is None else EndsConfig("equally", after, 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 1000)
     step, done, told = FullTrainer.step, [], []
-    monkeypatch.setattr(FullTrainer, "step", lambda self, i: (done.append(i), step(self, i))[1])
+    monkeypatch.setattr(FullTrainer, "step", lambda self, i: (step(self, i), done.append(i))[0])
     monkeypatch.setattr(FullTrainer, "turn_round", lambda *_: told.append(len(done)))
     train(replace(SINGLE_STAGE, iterations=4, ends=ends), tmp_path)
     assert told == steps

@@ -88,10 +88,10 @@ def test_a_killed_training_ends_with_the_same_bytes(tmp_path: Path, monkeypatch:
     uninterrupted = finish("uninterrupted")
     step = FeatureTrainer.step
 
-    def killed(trainer: FeatureTrainer, iteration: int) -> None:
+    def killed(trainer: FeatureTrainer, iteration: int) -> dict[str, Tensor]:
         if iteration == 7:
             raise KeyboardInterrupt
-        step(trainer, iteration)
+        return step(trainer, iteration)
 
     monkeypatch.setattr(FeatureTrainer, "step", killed)
     with pytest.raises(KeyboardInterrupt):
@@ -103,11 +103,11 @@ def test_a_killed_training_ends_with_the_same_bytes(tmp_path: Path, monkeypatch:
 def test_a_diverged_training_is_an_error_and_keeps_the_state_before(tmp_path: Path) -> None:
     checkpoint = Checkpoint(tmp_path, "key")
     config = replace(CONFIG, learning_rate=1e30, checkpoint_every=1)
-    with pytest.raises(TrainingDiverged, match=r"of feature training became .* what was saved before it is kept"):
+    with pytest.raises(TrainingDiverged, match=r"of feature training became .* at iteration 1; what was saved"):
         train_features(config, bars(64, 0), bars(16, 1), NO_WEIGHTS, torch.float32, 0, checkpoint)
     restored = checkpoint.load()
     assert restored is not None
-    assert torch.isfinite(restored[0]["loss_sum"])
+    assert restored[1]["iteration"] == 1
 
 
 def test_one_category_alone_cannot_be_classified(tmp_path: Path) -> None:

@@ -31,6 +31,7 @@ TINY: dict[str, Any] = {
         "subdivisions": 2,
         "generator": {"latent_size": 8, "shape_hidden": 16, "texture_channels": 4, "texture_size": 16},
         "score_batches": 1,
+        "curve_every": 2,
         "checkpoint_every": 1,
     },
     "remesh": {"isotropic": {"target_faces": 320, "attempts": 1, "iterations": 3}, "sphere_map": {"iterations": 3}},

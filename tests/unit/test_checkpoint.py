@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from torch.optim import SGD, Adam, Optimizer
 
 from pipeline.errors import DataError, TrainingDiverged
-from pipeline.training.checkpoint import Checkpoint, pack, require_finite, restart_key, unpack
+from pipeline.training.checkpoint import Checkpoint, pack, read_losses, restart_key, unpack
 
 
 def adam(parameters: Iterable[nn.Parameter]) -> Optimizer:
@@ -136,9 +136,10 @@ def test_the_key_depends_on_config_inputs_seed_device_and_precision(tmp_path: Pa
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_a_loss_that_is_not_finite_stops_the_training(value: float) -> None:
-    require_finite(torch.tensor(1.0), 3, "full training")
-    with pytest.raises(TrainingDiverged, match=r"of full training became .* at iteration 17; what was saved before"):
-        require_finite(torch.tensor(value), 17, "full training")
+    losses = [{"loss": torch.tensor(number)} for number in (1.0, value, 2.0)]
+    assert read_losses(losses[:1], 15, "full training") == [{"loss": 1.0}]
+    with pytest.raises(TrainingDiverged, match=r"of full training became .* at iteration 16; what was saved before"):
+        read_losses(losses, 17, "full training")
 
 
 def test_optimizer_state_is_restored_where_the_parameters_are() -> None:

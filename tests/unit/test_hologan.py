@@ -112,11 +112,20 @@ def test_the_discriminator_learns_to_tell_dark_photographs() -> None:
     assert losses[-1] < 0.5 * losses[0]
 
 
-def test_a_resumed_training_ends_with_the_same_bits(tmp_path: Path) -> None:
+def test_a_resumed_training_ends_with_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     whole, rows = train_hologan(TRAINING, PHOTOGRAPHS, 0, Checkpoint(tmp_path / "whole", "key"))
-    shortened = replace(TRAINING, checkpoint_every=4)  # the last restart state is that of iteration 4
-    train_hologan(shortened, PHOTOGRAPHS, 0, Checkpoint(tmp_path / "stopped", "key"))
-    resumed, again = train_hologan(shortened, PHOTOGRAPHS, 0, Checkpoint(tmp_path / "stopped", "key"))
+    step = HoloGANTrainer.step
+
+    def killed(trainer: HoloGANTrainer, iteration: int) -> dict[str, torch.Tensor]:
+        if iteration == 5:
+            raise KeyboardInterrupt
+        return step(trainer, iteration)
+
+    monkeypatch.setattr(HoloGANTrainer, "step", killed)
+    with pytest.raises(KeyboardInterrupt):
+        train_hologan(TRAINING, PHOTOGRAPHS, 0, Checkpoint(tmp_path / "stopped", "key"))
+    monkeypatch.setattr(HoloGANTrainer, "step", step)
+    resumed, again = train_hologan(TRAINING, PHOTOGRAPHS, 0, Checkpoint(tmp_path / "stopped", "key"))
     assert rows.rows == again.rows
     assert [row["iteration"] for row in rows.rows] == [3, 6]
     for name, tensor in whole.state_dict().items():

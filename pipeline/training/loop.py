@@ -1,0 +1,83 @@
+"""The loop that every training runs in: progress, curve, restart states."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+from jaxtyping import Float
+from torch import Tensor
+from tqdm import tqdm
+
+from pipeline.distributed import silent
+from pipeline.training.checkpoint import Checkpoint, Part, pack, read_losses, unpack
+from pipeline.training.curves import Curve
+
+
+@dataclass(frozen=True)
+class Schedule:
+    """How long a training lasts and how often it is written down."""
+
+    iterations: int
+    """Steps in all."""
+    curve_every: int
+    """Iterations that one row of the curve averages."""
+    checkpoint_every: int
+    """Iterations between restart states."""
+
+
+@runtime_checkable
+class Trainer(Protocol):
+    """Everything that changes while something is learned."""
+
+    def step(self, iteration: int) -> Mapping[str, Float[Tensor, ""]]:
+        """Take one optimisation step; return its losses, on the device."""
+        ...
+
+    def parts(self) -> dict[str, Part]:
+        """Name everything a restart state has to hold."""
+        ...
+
+
+def train(
+    trainer: Trainer,
+    schedule: Schedule,
+    name: str,
+    checkpoint: Checkpoint,
+    prepare: Callable[[], None] | None = None,
+    observe: Callable[[int], Mapping[str, float]] = lambda _iteration: {},
+) -> Curve:
+    """Take all steps of a training, going on from the checkpoint where there is one; return the mean losses.
+
+    `name` stands beside the progress bar and in errors. `prepare` comes before the first step, and what it has changed
+    is saved; `observe` measures what else a row of the curve holds, after the row's last iteration.
+
+    A killed call that is repeated with the same checkpoint ends with the same bytes (CPU). Raises TrainingDiverged
+    where a loss is not finite, before the next restart state is written.
+    """
+    curve, recent, unread, first = Curve(), [], [], 0
+    if (restored := checkpoint.load()) is not None:
+        tensors, values = restored
+        unpack(tensors, **trainer.parts())
+        curve, recent, first = Curve(values["rows"]), values["recent"], values["iteration"]
+    elif prepare is not None:
+        prepare()
+        checkpoint.save(pack(**trainer.parts()), {"iteration": 0, "rows": [], "recent": []})
+    last = schedule.iterations
+    for iteration in tqdm(range(first, last), name, initial=first, total=last, disable=silent()):
+        unread.append(trainer.step(iteration))
+        done = iteration + 1
+        is_row = done == last or done % schedule.curve_every == 0
+        is_saved = done == last or done % schedule.checkpoint_every == 0
+        if is_row or is_saved:
+            recent, unread = recent + read_losses(unread, iteration, name), []
+        if is_row:
+            curve.append(done, **_means(recent), **observe(iteration))
+            recent = []
+        if is_saved:
+            values = {"iteration": done, "rows": curve.rows, "recent": recent}
+            checkpoint.save(pack(**trainer.parts()), values)
+    return curve
+
+
+def _means(rows: list[dict[str, float]]) -> dict[str, float]:
+    return {name: sum(row[name] for row in rows) / len(rows) for name in rows[0]}
