@@ -9,12 +9,13 @@ export PATH := $(CURDIR)/$(BIN):$(PATH)
 # Threads that wait should sleep: on a busy machine spinning ones make every step many times slower.
 export OMP_WAIT_POLICY := PASSIVE
 
-.PHONY: repro test check run bench dependencies tables clean
+.PHONY: repro test check run bench dependencies tables clean help
 
 repro: $(STAMP)  ## run the pipeline: by default the toybox car, from pictures to a page
 	dvc repro
 
 run: $(if $(BASELINE),$(TOOLS),$(STAMP))  ## turn a row of the paper on and run it: ROW= SIZE=laptop|laptop-coarse|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASELINE=
+	@test -n "$(ROW)" || { echo "name a row: make run ROW=toybox-car, or another of those in params.yaml" >&2; exit 2; }
 	python -m stages.run_row $(foreach option,ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASELINE,$(if $($(option)),--$(shell echo $(option) | tr A-Z a-z) "$($(option))"))
 
 test: $(TOOLS)  ## the whole test suite
@@ -37,6 +38,9 @@ dependencies: $(TOOLS)  ## rewrite the code dependencies of dvc.yaml
 
 tables: $(TOOLS)  ## rewrite the tables of README.md and docs/ from results/metrics
 	python -m tests.project.result_tables
+
+help:  ## list the targets
+	@sed -n 's/^\([a-z]*\):.*  ## /\1\t/p' Makefile | expand -t 14
 
 clean:  ## remove the environment and restart states; models and results stay
 	rm -rf .venv .checkpoints

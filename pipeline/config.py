@@ -57,7 +57,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         document = yaml.safe_load(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ConfigError(f"{path} does not exist; name the parameter file with --params") from None
+        raise ConfigError(f"{path} does not exist; run this in the project's folder or name it: --project") from None
     except yaml.YAMLError as error:
         raise ConfigError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
     if not isinstance(document, dict):
@@ -71,8 +71,8 @@ def _find(document: dict[str, Any], dotted: str, path: Path) -> Any:
     for key in dotted.split("."):
         if not isinstance(found, dict) or key not in found:
             siblings = found if isinstance(found, dict) else ()
-            nearest = _nearest(key, siblings, prefix=".".join([*walked, ""]))
-            raise ConfigError(f"{path} has no '{dotted}'{nearest}")
+            known = nearest(key, siblings, prefix=".".join([*walked, ""]))
+            raise ConfigError(f"{path} has no '{dotted}'{known}")
         found = found[key]
         walked.append(key)
     return found
@@ -97,7 +97,7 @@ def _build(config_class: type[Config], values: dict[str, Any], section: str, pat
     names = [field.name for field in fields(config_class)]  # pyright: ignore[reportArgumentType]
     for name, value in values.items():
         if name not in names:
-            raise ConfigError(f"{path}: unknown key '{_key(value, f'{section}.{name}')}'{_nearest(str(name), names)}")
+            raise ConfigError(f"{path}: unknown key '{_key(value, f'{section}.{name}')}'{nearest(str(name), names)}")
     for name in names:
         if name not in values:
             raise ConfigError(f"{path}: '{section}.{name}' is missing; expected {_describe(hints[name])}")
@@ -147,7 +147,8 @@ def _key(value: Any, otherwise: str) -> str:
     return value.key if isinstance(value, _Leaf) else otherwise
 
 
-def _nearest(name: str, candidates: Iterable[str], prefix: str = "") -> str:
+def nearest(name: str, candidates: Iterable[str], prefix: str = "") -> str:
+    """Return the end of a sentence that says no such name is known: the nearest one that is, or all of them."""
     names = sorted(map(str, candidates))
     near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
     if near:

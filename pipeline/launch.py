@@ -48,14 +48,19 @@ def share_work(processes: object, device: torch.device, function: Callable[..., 
 def resolve_processes(processes: object, device: torch.device) -> int:
     """Turn a number or `auto` into the number of processes that share a stage's work.
 
-    `auto` is one for each GPU. On a CPU it is two, which are faster than one with the threads of both
-    (docs/decisions.md), or one where there is a single thread. Raises ConfigError for anything else.
+    `auto` is one for each GPU, or for as many of them as are a power of two, by which batches divide. On a CPU it is
+    two, which are faster than one with the threads of both (docs/decisions.md), or one where there is a single thread.
+    Raises ConfigError for anything else.
     """
     if processes == "auto":
-        return torch.cuda.device_count() if device.type == "cuda" else min(2, torch.get_num_threads())
+        return _power_of_two(torch.cuda.device_count()) if device.type == "cuda" else min(2, torch.get_num_threads())
     if type(processes) is not int or processes < 1:
         raise ConfigError(f"processes is {processes!r}; expected auto or a whole number from 1")
     return processes
+
+
+def _power_of_two(limit: int) -> int:
+    return 1 << (limit.bit_length() - 1)
 
 
 def _start(

@@ -39,8 +39,9 @@ def main() -> None:
     training_photographs = load_images(arguments.train_images)
     figures, table = evaluate_images(photographs, training_photographs, reconstructions, features, config)
     full_model = load_full_model(arguments.model, torch.device("cpu"))
-    views = evaluate_views(reconstructions, full_model, features, config.multiview, config.batch_size)
-    figures |= {"multiview": views}
+    if len(photographs) > 1:  # views of an object are compared with those of others
+        views = evaluate_views(reconstructions, full_model, features, config.multiview, config.batch_size)
+        figures |= {"multiview": views}
     test = load_true_split(arguments.truth, "test", arguments.category)
     training = load_true_split(arguments.truth, "train", arguments.category)
     if test is not None and training is not None:

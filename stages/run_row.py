@@ -1,18 +1,19 @@
 """Turn a row of the paper on in params.yaml, then run its chain to the report."""
 
+import re
 import subprocess
 import sys
 from argparse import ArgumentParser, Namespace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 
-from pipeline.config import load
+from pipeline.config import load, nearest, scalar
 from pipeline.datasets.pascal3d import has_annotations
 from pipeline.datasets.posed_folder import has_table
+from pipeline.datasets.toybox.toybox import CATEGORIES
 from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
 from pipeline.training.base_shape import BaseShapeConfig
@@ -21,6 +22,8 @@ from stages.command_line import run
 PARAMS = Path("params.yaml")
 BASELINES = ("hologan", "colmap")
 OFFICIAL_CIFAR10 = "cifar-10-"
+CIFAR10_SIZE = 32
+EMBEDDED = "toybox"
 
 
 def main() -> None:
@@ -48,15 +51,22 @@ def turn_on(path: Path, options: Namespace) -> str:
 
     The name leaves out what is usual: laptop size, no ablation, seed 0, the row's own photographs. A run whose ablation
     leaves base shapes as they are shares the base shape of the run without ablation. Raises ConfigError for a row, size
-    or ablation that does not exist, for a dataset whose source is not known or whose pictures have another size, for
-    features whose weights are not known, and for a run of that name that is on with another row.
+    or ablation that does not exist, for names that are not plain, for a dataset whose source is not known or whose
+    pictures have another size, for features whose weights are not known, and for a run of that name that is on with
+    another row.
     """
+    for section in ("datasets", "features", "base_shapes", "runs", "rows", "sizes", "ablations"):
+        scalar(path, section)
     yaml = _yaml()
     document = yaml.load(path)
     for kind, name in (("rows", options.row), ("sizes", options.size), ("ablations", options.ablation)):
         _require(name, document[kind], f"{path}: {kind}")
     row = document["rows"][options.row]
     dataset, category = options.dataset or row["dataset"], options.category or row["category"]
+    _require_plain("DATASET", dataset)
+    _require_plain("CATEGORY", category)
+    if dataset == EMBEDDED:
+        _require_embedded(category, options.source)
     sections = ("learn_base_shape", f"rows.{options.row}.learn_base_shape", f"sizes.{options.size}.learn_base_shape")
     _turn_on_dataset(document, dataset, options.source, load(path, BaseShapeConfig, sections).renderer.size)
     features = f"{dataset}-{options.size}"
@@ -128,8 +138,10 @@ def _turn_on_dataset(document: CommentedMap, name: str, source: Path | None, siz
         source = _existing("SOURCE", source)
         entry = {"kind": _kind(source), "source": str(source)}
     kind = entry.get("kind") or datasets[name]["kind"]
-    usual = document["prepare_data"][kind].get("size", size)
-    found = datasets[name].get(kind, {}).get("size", usual) if name in datasets else size
+    settings = document["prepare_data"][kind]
+    fixed = settings["photograph"]["size"] if kind == "toybox" else CIFAR10_SIZE if kind == "cifar10" else None
+    usual = fixed or settings["size"]
+    found = fixed or (datasets[name].get(kind, {}).get("size", usual) if name in datasets else size)
     if found != size:
         raise ConfigError(
             f"pictures of '{name}' are {found} px, but this run compares {size} px; name a second dataset with "
@@ -157,17 +169,29 @@ def _existing(option: str, path: Path) -> Path:
 
 
 def _kind(source: Path) -> str:
-    if source.name.startswith(OFFICIAL_CIFAR10):
+    if source.is_file() and source.name.startswith(OFFICIAL_CIFAR10):
         return "cifar10"
     if has_annotations(source):
         return "pascal3d"
     return "posed_folder" if has_table(source) else "folder"
 
 
+def _require_embedded(category: str, source: Path | None) -> None:
+    if source is not None:
+        raise ConfigError(f"'{EMBEDDED}' is the embedded data set and has no SOURCE=; name yours with DATASET=")
+    if category not in CATEGORIES:
+        raise ConfigError(f"'{EMBEDDED}' has no category '{category}'{nearest(category, CATEGORIES)}")
+
+
+def _require_plain(option: str, name: str) -> None:
+    """Names become parts of commands, of keys of params.yaml and of files."""
+    if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
+        raise ConfigError(f"{option}={name!r} has other characters than letters, digits, _ and -; use those alone")
+
+
 def _require(name: str, known: dict[str, Any], where: str) -> None:
     if name not in known:
-        near = get_close_matches(name, known, n=1, cutoff=0)
-        raise ConfigError(f"{where} has no '{name}'; did you mean '{near[0]}'?")
+        raise ConfigError(f"{where} has no '{name}'{nearest(name, known)}")
 
 
 if __name__ == "__main__":

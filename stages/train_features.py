@@ -6,6 +6,7 @@ from pathlib import Path
 import torch
 
 from pipeline.config import load, scalar
+from pipeline.datasets.images import placed_bytes
 from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.distributed import is_first
 from pipeline.files import write_json
@@ -40,7 +41,7 @@ def train(arguments: Namespace, device: torch.device) -> None:
     precision = resolve_precision(scalar(arguments.params, "precision"), device)
     categories = list_categories(arguments.images)
     pictures = load_pictures(arguments.images, categories, device, memory)
-    test = load_pictures(arguments.test_images, categories, device, memory)
+    test = load_pictures(arguments.test_images, categories, device, memory - placed_bytes(pictures.images))
     metadata = {"categories": " ".join(categories), "method": config.method}
     if config.method == "pretrained":
         if is_first():

@@ -23,16 +23,29 @@ def _parser() -> ArgumentParser:
     parser.add_argument("--project", type=Path, default=Path(), help="folder of params.yaml; default: this one")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     reconstruct = commands.add_parser("reconstruct", help="turn photographs into meshes")
-    reconstruct.add_argument("photographs", type=Path, nargs="+", metavar="PHOTO", help="a photograph, or a folder")
-    reconstruct.add_argument("--run", help="whose model; default: the first of params.yaml")
+    reconstruct.add_argument(
+        "photographs",
+        type=Path,
+        nargs="+",
+        metavar="PHOTO",
+        help="a photograph, or a folder: RGB, at least as large as the model's pictures",
+    )
+    reconstruct.add_argument("--run", help="whose model; default: the run turned on last")
     reconstruct.add_argument("--out", type=Path, required=True, help="folder to write to")
     reconstruct.add_argument(
-        "--outputs", type=_outputs, default="mesh,picture,turntable,pose", help="of mesh,picture,turntable,video,pose"
+        "--outputs",
+        type=_outputs,
+        default="mesh,picture,turntable,pose",
+        help="of mesh,picture,turntable,video,pose; default: %(default)s",
     )
-    reconstruct.add_argument("--fine-tune", action="store_true", help="fit background, pose and shape to each")
+    reconstruct.add_argument(
+        "--fine-tune",
+        action="store_true",
+        help="fit background, pose and shape to each; takes seconds a photograph on a CPU",
+    )
     reconstruct.set_defaults(command=_reconstruct)
     view = commands.add_parser("view", help="open the page of a run")
-    view.add_argument("--run", help="default: the first of params.yaml")
+    view.add_argument("--run", help="default: the run turned on last")
     view.set_defaults(command=_view)
     runs = commands.add_parser("runs", help="write and open one table of all runs' figures")
     runs.set_defaults(command=_runs)
@@ -52,6 +65,10 @@ def _reconstruct(arguments: Namespace) -> None:
     from pipeline.device import resolve_device
 
     run, out = find_run(arguments.project, arguments.run), arguments.out
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        sys.exit(f"error: cannot write to {out} ({error.strerror}); name another folder with --out")
     device = resolve_device(scalar(run.params, "device"))
     tasks = list_tasks(arguments.photographs, out)
     outcome = reconstruct(tasks, run, out, arguments.outputs, arguments.fine_tune, device)

@@ -1,5 +1,6 @@
 """Photographs to textured meshes, with the model of a run."""
 
+import hashlib
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -62,15 +63,17 @@ def reconstruct(
 ) -> Outcome:
     """Write the outputs of each photograph, in batches, going on where an earlier call for the same folder stopped.
 
-    Raises DataError where the folder holds reconstructions by another model, or with other steps.
+    Raises DataError where the folder holds reconstructions by another model, or with other steps or settings.
     """
     model = load_full_model(run.model, device)
-    _require_same_way(out, {"model": sha256(run.model), "fine_tune": tuned})
-    waiting = [task for task in tasks if not task.done(outputs)]
     config = load(run.params, FineTuneConfig, ["fine_tune", f"sizes.{run.size}.fine_tune"])
-    find = _fine_tuning(run, model, config, device) if tuned else partial(_inferred, model=model)
     fit = load(run.params, PrepareConfig, ["prepare_data", f"datasets.{run.dataset}"]).fit
     report = load(run.params, ReportConfig, ["report"])
+    settings = repr([fit, report, *([config, sha256(run.features)] if tuned else [])])
+    way = {"model": sha256(run.model), "fine_tune": tuned, "settings": hashlib.sha256(settings.encode()).hexdigest()}
+    _require_same_way(out, way)
+    waiting = [task for task in tasks if not task.done(outputs)]
+    find = _fine_tuning(run, model, config, device) if tuned else partial(_inferred, model=model)
     failures: list[str] = []
     with tqdm(total=len(waiting), desc="reconstructing", unit="photograph", disable=None) as progress:
         for start in range(0, len(waiting), config.batch_size):
@@ -79,6 +82,7 @@ def reconstruct(
             if not readable:
                 continue
             found = find(images.to(device))
+            write_json(out / RECORD, way)
             for index, task in enumerate(readable):
                 _write(task, index, found, model, report, outputs)
                 progress.update()
@@ -162,12 +166,10 @@ def describe(pose: Pose, index: int) -> dict[str, float | list[float]]:
 
 def _require_same_way(out: Path, way: dict[str, str | bool]) -> None:
     record = out / RECORD
-    if not record.is_file():
-        write_json(record, way)
-    elif read_json(record) != way:
+    if record.is_file() and read_json(record) != way:
         raise DataError(
-            f"{out} holds reconstructions by another model or with other steps ({RECORD}); name another folder, or "
-            "remove this one"
+            f"{out} holds reconstructions by another model or with other steps or settings ({RECORD}); name another "
+            "folder, or remove this one"
         )
 
 

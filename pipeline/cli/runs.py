@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.config import scalar
+from pipeline.config import nearest, scalar
 from pipeline.errors import ConfigError, DataError
 from pipeline.export.runs_page import MeasuredRun
 from pipeline.files import read_json
@@ -56,7 +56,8 @@ def find_run(project: Path, name: str | None) -> Run:
     if not runs:
         raise ConfigError(f"{params} has no runs; add one with `make run ROW=...`")
     name = name if name is not None else next(iter(runs))
-    scalar(params, f"runs.{name}")
+    if name not in runs:
+        raise ConfigError(f"{params} has no run '{name}'{nearest(name, runs)}; `make run ROW=...` turns one on")
     return Run(project, name, runs[name]["size"], runs[name]["dataset"], runs[name]["features"])
 
 
@@ -71,7 +72,7 @@ def measured_runs(project: Path) -> list[MeasuredRun]:
         address = f"{path.stem}/index.html"
         runs.append(MeasuredRun(path.stem, address if (pages / address).is_file() else None, read_json(path)))
     if not runs:
-        raise DataError(f"{metrics} has no figures of a run; make them with `dvc repro`")
+        raise DataError(f"{metrics} has no figures of a run; make them with `make repro`, or name a --project")
     return runs
 
 

@@ -64,6 +64,11 @@ def load_images_of_size(path: Path, size: int) -> UInt8[Tensor, "N 3 size size"]
     return images
 
 
+def placed_bytes(images: Images) -> int:
+    """Return how much of the device's memory pictures take: none where they are on disk."""
+    return images.nbytes if isinstance(images, Tensor) else 0
+
+
 def place_images(parts: Sequence[UInt8[Tensor, "_ 3 H W"]], device: torch.device, memory: int) -> Images:
     """Join pictures on the device where they take at most `memory` bytes; leave them on disk where they take more."""
     if sum(part.nbytes for part in parts) > memory:

@@ -45,8 +45,15 @@ def has_table(path: Path) -> bool:
 def _read_angles(path: Path) -> Angles:
     for name, content in read_tree(path):
         if name.name == TABLE and content is not None:
-            return _parse(f"{path}: {name}", content.decode("utf-8-sig"))
+            return _parse(f"{path}: {name}", _text(f"{path}: {name}", content))
     raise DataError(f"{path} has no {TABLE}; expected one with the columns {', '.join((FILE, *ANGLES))}")
+
+
+def _text(where: str, content: bytes) -> str:
+    try:
+        return content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise DataError(f"{where} is not text in UTF-8; save it as UTF-8") from None
 
 
 def _parse(where: str, text: str) -> Angles:

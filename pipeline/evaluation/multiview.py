@@ -18,11 +18,10 @@ from pipeline.evaluation.alignment import fit_alignment
 from pipeline.evaluation.artifacts import Reconstructions
 from pipeline.evaluation.pose import ACCURATE
 from pipeline.evaluation.statistics import mean_figure
-from pipeline.geometry.camera import Pose
+from pipeline.geometry.camera import Pose, fill_picture
 from pipeline.losses.image_distance import feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel
-from pipeline.networks.pose_coordinates import fill_picture
 from pipeline.rendering.renderer import Mesh, render
 
 GRID = 4

@@ -11,8 +11,8 @@ from pipeline.export.picture import data_uri, strip
 from pipeline.export.report_page import Section, card, four, grid, image
 from pipeline.export.viewer import turn_link
 from pipeline.export.views import SEED_AZIMUTHS, ViewConfig, render_clay, render_textured
-from pipeline.geometry.camera import CameraConfig
-from pipeline.networks.pose_coordinates import Framing, fill_picture
+from pipeline.geometry.camera import CameraConfig, fill_picture
+from pipeline.networks.pose_coordinates import Framing
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
 STEP_AZIMUTHS = tuple(range(0, 400, 50))

@@ -77,3 +77,29 @@ def project(vertices_world: Float[Tensor, "B V 3"], pose: Pose, camera: CameraCo
     xy_ndc = focal_length * vertices_camera[..., :2] / depth.clamp(min=NEAREST_DEPTH)
     xy_ndc = pose.scale[:, None, None] * xy_ndc + pose.center[:, None]
     return torch.cat((xy_ndc, depth), dim=-1)
+
+
+def place_in_picture(
+    vertices: Float[Tensor, "B V 3"],
+    azimuth: Float[Tensor, " B"],
+    elevation: Float[Tensor, " B"],
+    roll: Float[Tensor, " B"],
+    center: Float[Tensor, "B 2"],
+    extent: Float[Tensor, " B"],
+    camera: CameraConfig,
+) -> Pose:
+    """Choose the pose's centre and scale so that the object's box in the picture has a given middle and longer side.
+
+    The middle is in ndc, the extent relative to the picture's side. Gradients flow to everything.
+    """
+    plain = Pose(azimuth, elevation, roll, torch.zeros_like(center), torch.ones_like(extent))
+    xy_ndc = project(vertices, plain, camera)[..., :2]
+    lower, upper = xy_ndc.amin(dim=1), xy_ndc.amax(dim=1)
+    scale = 2 * extent / (upper - lower).amax(dim=1)
+    return plain._replace(center=center - scale[:, None] * (lower + upper) / 2, scale=scale)
+
+
+def fill_picture(vertices: Float[Tensor, "B V 3"], pose: Pose, camera: CameraConfig) -> Pose:
+    """Move poses so that the longer side of each object's box is the picture's side and the box is in its middle."""
+    center, extent = torch.zeros_like(pose.center), torch.ones_like(pose.scale)
+    return place_in_picture(vertices, pose.azimuth, pose.elevation, pose.roll, center, extent, camera)

@@ -12,11 +12,11 @@ from torch import Tensor, nn
 from pipeline.config import from_json
 from pipeline.files import load_tensors
 from pipeline.geometry.camera import Pose
-from pipeline.networks.decoders import FreeFormShapes, OffsetShapes, ShapeDecoder
 from pipeline.networks.encoders import Encoder, EncoderConfig
 from pipeline.networks.generators import ImageBackgroundGenerator, StripesGenerator, TextureGenerator
 from pipeline.networks.pose_coordinates import Framing, PoseCoordinates, PoseRange
 from pipeline.networks.pose_decoder import PoseDecoder, PoseRegression
+from pipeline.networks.shapes import FreeFormShapes, OffsetShapes, ShapeDecoder
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
 

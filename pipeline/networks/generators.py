@@ -1,4 +1,4 @@
-"""Decoders from a latent vector to a shape, a texture map or a background (paper 3.1.1, 3.1.2 and 3.1.4).
+"""Generators: from a latent vector to a shape, a texture map or a background (paper 3.1.1, 3.1.2 and 3.1.4).
 
 In base-shape learning the latent is noise; in full training it is the output of an encoder.
 """

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pipeline.config import from_json
+from pipeline.device import constant
 from pipeline.errors import ConfigError
 from pipeline.files import load_tensors, save_tensors
 from pipeline.geometry.camera import rotation_from_angles
@@ -161,7 +162,7 @@ def rotate_volume(
     that of `rotation_from_angles` without roll. Gradients flow to the features and the angles.
     """
     rotation = rotation_from_angles(azimuth, elevation, torch.zeros_like(azimuth))
-    upside_down = torch.diag(rotation.new_tensor([1.0, -1.0, 1.0]))
+    upside_down = torch.diag(constant((1.0, -1.0, 1.0), rotation))
     to_world = upside_down @ rotation.transpose(1, 2) @ upside_down
     transform = torch.cat([to_world, torch.zeros_like(to_world[..., :1])], dim=2)
     grid = functional.affine_grid(transform, list(features.shape), align_corners=False)

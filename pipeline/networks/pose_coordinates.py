@@ -1,7 +1,7 @@
 """The six parameters of a pose in the form in which they are regressed and explored (paper section 3.2.2)."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Literal
 
 import torch
@@ -9,7 +9,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from pipeline.device import constant
-from pipeline.geometry.camera import CameraConfig, Pose, project
+from pipeline.errors import ConfigError
+from pipeline.geometry.camera import CameraConfig, Pose, place_in_picture
 
 POSE_COORDINATES = 7
 Framing = Literal["free", "box"]
@@ -28,6 +29,13 @@ class PoseRange:
     """Of the middle of the object's box in the picture, along x and along y, in ndc."""
     extent: tuple[float, float]
     """Longer side of the object's box over the picture's side; 1 fills the picture."""
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError for a range that ends below its start."""
+        for field in fields(self):
+            lowest, highest = getattr(self, field.name)
+            if lowest > highest:
+                raise ConfigError(f"pose_range.{field.name} is [{lowest}, {highest}]; expected the lower bound first")
 
 
 class PoseCoordinates(nn.Module):
@@ -89,35 +97,9 @@ class PoseCoordinates(nn.Module):
         turn, others = coordinates[..., :2], self.middle + self.reach * coordinates[..., 2:]
         turn = turn * constant((1.0, -1.0), turn)
         others = others * constant((1.0, -1.0, -1.0, 1.0, 1.0), others)  # roll and x change their signs
-        return torch.cat([turn, (others - self.middle) / self.reach], -1)
+        return torch.cat([turn, torch.where(self.reach > 0, (others - self.middle) / self.reach, 0.0)], -1)
 
     def clamp(self, coordinates: Float[Tensor, "... 7"]) -> Float[Tensor, "... 7"]:
         """Return the nearest coordinates within the ranges, with the azimuth's pair on the unit circle."""
         turn = nn.functional.normalize(coordinates[..., :2], dim=-1, eps=1e-6)
         return torch.cat([turn, coordinates[..., 2:].clamp(-1, 1)], -1)
-
-
-def place_in_picture(
-    vertices: Float[Tensor, "B V 3"],
-    azimuth: Float[Tensor, " B"],
-    elevation: Float[Tensor, " B"],
-    roll: Float[Tensor, " B"],
-    center: Float[Tensor, "B 2"],
-    extent: Float[Tensor, " B"],
-    camera: CameraConfig,
-) -> Pose:
-    """Choose the pose's centre and scale so that the object's box in the picture has a given middle and longer side.
-
-    The middle is in ndc, the extent relative to the picture's side. Gradients flow to everything.
-    """
-    plain = Pose(azimuth, elevation, roll, torch.zeros_like(center), torch.ones_like(extent))
-    xy_ndc = project(vertices, plain, camera)[..., :2]
-    lower, upper = xy_ndc.amin(dim=1), xy_ndc.amax(dim=1)
-    scale = 2 * extent / (upper - lower).amax(dim=1)
-    return plain._replace(center=center - scale[:, None] * (lower + upper) / 2, scale=scale)
-
-
-def fill_picture(vertices: Float[Tensor, "B V 3"], pose: Pose, camera: CameraConfig) -> Pose:
-    """Move poses so that the longer side of each object's box is the picture's side and the box is in its middle."""
-    center, extent = torch.zeros_like(pose.center), torch.ones_like(pose.scale)
-    return place_in_picture(vertices, pose.azimuth, pose.elevation, pose.roll, center, extent, camera)

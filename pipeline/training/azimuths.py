@@ -28,6 +28,8 @@ _HARMONICS = 4
 _BALANCING_STEPS = 60
 _MAP_SIZE = 8
 _PROJECTION_ROUNDS = 4
+_LEAST_DEVIATION = 1e-4
+"""Of colours in [0, 1], below which photographs are painted alike."""
 
 
 @dataclass(frozen=True)
@@ -129,7 +131,7 @@ def balance(
     """
     excess_of_mean = scores.mean(dim=0) - _opposite(scores.mean(dim=0))
     scores = scores - (excess_of_mean + mirrored(excess_of_mean)) / 4
-    colors = torch.cat([torch.ones_like(colors[:, :1]), colors], 1)
+    colors = torch.cat([colors.new_ones(len(colors), 1), colors], 1)
     covariance = colors.T @ colors / len(colors)
     correction = colors.new_zeros(colors.shape[1], scores.shape[1])
     for _ in range(_BALANCING_STEPS):
@@ -155,7 +157,8 @@ def mean_colors(images: Float[Tensor, "N 3 H W"]) -> Float[Tensor, "N K"]:
     border = images.flatten(2).mean(2) - middle.mean(2) / 4
     colors = torch.cat([middle.mean(2), middle.std(2), border], 1)
     colors = colors - colors.mean(dim=0)
-    directions = torch.linalg.svd(colors, full_matrices=False).U
+    directions, sizes, _ = torch.linalg.svd(colors, full_matrices=False)
+    directions = directions[:, sizes > _LEAST_DEVIATION * math.sqrt(len(colors))]
     return (directions * math.sqrt(len(colors))).clamp(-3, 3)
 
 

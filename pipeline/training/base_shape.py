@@ -9,7 +9,8 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from pipeline.datasets.images import Images
-from pipeline.distributed import agree, average, average_gradients, divide, share, whole
+from pipeline.distributed import agree, average, divide, share, whole
+from pipeline.geometry.camera import fill_picture
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.symmetry import mirror_index
@@ -18,15 +19,15 @@ from pipeline.losses.chamfer import chamfer
 from pipeline.losses.feature_matching import feature_matching
 from pipeline.losses.smoothness import SmoothnessConfig, smoothness
 from pipeline.networks.feature_extractor import FeatureExtractor
-from pipeline.networks.pose_coordinates import Framing, fill_picture
+from pipeline.networks.pose_coordinates import Framing
 from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, Scene, SceneConfig, SceneGenerator
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, Part
 from pipeline.training.curves import Curve
-from pipeline.training.loop import Schedule, train
+from pipeline.training.loop import Schedule, run_training
+from pipeline.training.optimization import falling, set_learning_rate, take_step
 from pipeline.training.photographs import Photographs
-from pipeline.training.schedule import falling, set_learning_rate
 from pipeline.training.viewpoints import LightConfig, ViewpointConfig, sample_lights, sample_viewpoints
 
 
@@ -172,10 +173,7 @@ class SeedTrainer:
             losses["smoothness"] = smoothness(scene.vertices, self.sphere.topology, config.smoothness).mean()
             total = total + losses["smoothness"]
         set_learning_rate(falling(config.learning_rate, iteration, config.iterations, config.cool_down), self.optimizer)
-        self.optimizer.zero_grad(set_to_none=True)
-        total.backward()
-        average_gradients(self.optimizer)
-        self.optimizer.step()
+        take_step(total, self.optimizer)
         return {name: average(loss.detach()) for name, loss in losses.items()}
 
     def parts(self) -> dict[str, Part]:
@@ -229,7 +227,7 @@ def learn_base_shape(
 
     def learn(index: int) -> Learned:
         trainer = SeedTrainer(config, sphere, photographs, extractor, seed, index)
-        curve = train(trainer, schedule, f"base shape {index}", Checkpoint(checkpoints / str(index), key))
+        curve = run_training(trainer, schedule, f"base shape {index}", Checkpoint(checkpoints / str(index), key))
         rows = [{"seed": index, **row} for row in curve.rows]
         return Learned(trainer.shape().cpu(), trainer.score(), trainer.scene.cpu(), rows)
 

@@ -105,6 +105,16 @@ def read_losses(rows: Sequence[Mapping[str, Float[Tensor, ""]]], iteration: int,
     return [dict(zip(row, values, strict=True)) for row, values in zip(rows, table, strict=True)]
 
 
+def require_finite(state: Mapping[str, Tensor], iteration: int, phase: str) -> None:
+    """Raise TrainingDiverged where packed state is not finite: a finite loss may have had a gradient that was not."""
+    for name, tensor in state.items():
+        if tensor.is_floating_point() and not tensor.isfinite().all():
+            raise TrainingDiverged(
+                f"{name} is no longer finite after iteration {iteration} of {phase}; what was saved before it is "
+                "kept: lower the learning rate or look at the inputs"
+            )
+
+
 def _state(name: str, part: Part) -> dict[str, Tensor]:
     if isinstance(part, nn.Module):
         return {f"{name}.{entry}": tensor for entry, tensor in part.state_dict().items()}

@@ -12,18 +12,18 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pipeline.datasets.images import Images, load_images, place_images
-from pipeline.distributed import agree, average, average_gradients, share
+from pipeline.distributed import agree, average, share
 from pipeline.errors import ConfigError, DataError
 from pipeline.networks.wide_resnet import WideResNet, load_wide_resnet
 from pipeline.seeding import generator, initialised
-from pipeline.training import loop
 from pipeline.training.augmentation import crop_and_mirror, to_float, turn
 from pipeline.training.checkpoint import Checkpoint, Part
 from pipeline.training.curves import Curve
-from pipeline.training.schedule import set_learning_rate
+from pipeline.training.loop import Schedule, run_training
+from pipeline.training.optimization import set_learning_rate, take_step
 
 _SAMPLE = 50_000
-"""Evenly spread pictures, at least, whose colours stand for those of all."""
+"""Evenly spread pictures, at most, whose colours stand for those of all."""
 
 
 @dataclass(frozen=True)
@@ -133,10 +133,7 @@ class FeatureTrainer:
         with _multiplying_in(self.precision, images.device):
             scores = self.network.train(self.config.method != "transfer")(to_float(images))
             loss = functional.cross_entropy(scores, labels, label_smoothing=self.config.label_smoothing)
-        self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        average_gradients(self.optimizer)
-        self.optimizer.step()
+        take_step(loss, self.optimizer)
         return {"train_loss": average(loss.detach())}
 
 
@@ -161,8 +158,8 @@ def train_features(
         right = accuracy(trainer.network, test, config, precision)
         return {"learning_rate": trainer.learning_rate(iteration), "test_accuracy": right}
 
-    schedule = loop.Schedule(trainer.iterations, trainer.iterations_per_epoch, config.checkpoint_every)
-    curve = loop.train(trainer, schedule, "feature training", checkpoint, observe=observe)
+    schedule = Schedule(trainer.iterations, trainer.iterations_per_epoch, config.checkpoint_every)
+    curve = run_training(trainer, schedule, "feature training", checkpoint, observe=observe)
     return trainer.network.eval(), curve
 
 
@@ -219,7 +216,7 @@ def _build_network(config: FeaturesConfig, train: Pictures, initial: Path, seed:
         )
     with initialised(seed, "features", "network"):
         network = WideResNet(config.depth, config.width, classes)
-    sample = train.images[:: max(1, len(train.images) // _SAMPLE)]
+    sample = train.images[:: -(-len(train.images) // _SAMPLE)]
     for channel, name in enumerate(("red", "green", "blue")):
         std, mean = torch.std_mean(sample[:, channel].float() / 255)
         if std == 0:

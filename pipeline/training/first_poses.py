@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from pipeline.datasets.images import Images
 from pipeline.distributed import divide, silent
-from pipeline.losses.image_distance import pairwise_feature_distance
+from pipeline.losses.image_distance import Features, pairwise_feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_coordinates import PoseCoordinates
@@ -76,8 +76,10 @@ def first_poses(
     kernel = _kernel(poses, config.concentration)
     rendered = [_cut_renderings(model, scenes, one, poses, config, light, rng) for one in scenes.generators]
 
+    described = _describe(cuts, extractor)
+
     def votes_of(index: int) -> Float[Tensor, "N K"]:
-        return count_votes(_distances(cuts, rendered[index], extractor), config.temperature).cpu()
+        return count_votes(_distances(described, _describe(rendered[index], extractor)), config.temperature).cpu()
 
     votes = [vote.to(cuts.device) for vote in divide(votes_of, len(rendered))]
     by_azimuth = join_votes(torch.stack([((vote @ kernel) / kernel.sum(dim=0)).log() for vote in votes]))
@@ -149,22 +151,26 @@ def _cut_renderings(
     return cut_to_box(torch.cat(batches), model.poses, boxes, config.box_size, torch.zeros_like(boxes[:, 0]))
 
 
-def _distances(
-    photographs: Float[Tensor, "N 3 H W"], rendered: Float[Tensor, "K 3 H W"], extractor: FeatureExtractor
-) -> Float[Tensor, "N K"]:
-    """Compare photographs with renderings, and their mirror images, by directions of deep features."""
-    total = torch.zeros(len(photographs), len(rendered), device=photographs.device)
-    for flip in tqdm(([], [-1]), "votes", disable=silent()):
-        ours, theirs = (_directions(images.flip(flip), extractor) for images in (photographs, rendered))
-        for start in range(0, len(photographs), _CHUNK):
+def _describe(images: Float[Tensor, "N 3 H W"], extractor: FeatureExtractor) -> list[Features]:
+    """Return directions of deep features, of pictures and of their mirror images.
+
+    The feature vectors of all maps but the first have length 1: colours and edges are paint.
+    """
+    return [
+        [functional.normalize(layer.float(), dim=1).half() for layer in extract(extractor, shown, _CHUNK)[2:]]
+        for shown in (images, images.flip(-1))
+    ]
+
+
+def _distances(photographs: list[Features], rendered: list[Features]) -> Float[Tensor, "N K"]:
+    """Compare photographs with renderings, and their mirror images with each other."""
+    count = len(photographs[0][0])
+    total = torch.zeros(count, len(rendered[0][0]), device=photographs[0][0].device)
+    for ours, theirs in tqdm(zip(photographs, rendered, strict=True), "votes", len(rendered), disable=silent()):
+        for start in range(0, count, _CHUNK):
             rows = slice(start, start + _CHUNK)
             total[rows] += pairwise_feature_distance([layer[rows] for layer in ours], theirs)
     return total
-
-
-def _directions(images: Float[Tensor, "N 3 H W"], extractor: FeatureExtractor) -> list[Float[Tensor, "N _ _ _"]]:
-    """Scale the feature vectors of all maps but the first to length 1: colours and edges are paint."""
-    return [functional.normalize(layer.float(), dim=1).half() for layer in extract(extractor, images, _CHUNK)[2:]]
 
 
 def _kernel(poses: Float[Tensor, "K 7"], concentration: float) -> Float[Tensor, "K azimuths"]:

@@ -6,6 +6,7 @@ from pathlib import Path
 import torch
 
 from pipeline.datasets.images import Images
+from pipeline.errors import DataError
 from pipeline.files import load_tensors
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
@@ -16,7 +17,7 @@ from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.curves import Curve
 from pipeline.training.exploration import require_maps
 from pipeline.training.full_trainer import FullTrainer, FullTrainingConfig
-from pipeline.training.loop import Schedule, train
+from pipeline.training.loop import Schedule, run_training
 from pipeline.training.photographs import Photographs
 
 
@@ -44,13 +45,16 @@ def train_full(
     """Train the full model, going on from the checkpoint where there is one.
 
     `scenes` are base-shape learning's generators, for the warm-up and first poses; `memory` is what photographs and
-    their kept features may take, in bytes. Raises TrainingDiverged when the loss is not finite.
+    their kept features may take, in bytes. Raises DataError for a single photograph, and TrainingDiverged when the loss
+    is not finite.
     """
+    if len(images) < 2:
+        raise DataError("full training compares photographs with each other, but there is only one; add more")
     require_maps(config.exploration.map_weights, extractor, "train_full.exploration.map_weights")
     photographs = Photographs(images, extractor, config.batch_size, memory)
     trainer = FullTrainer(config, photographs, extractor, base, seed)
     schedule = Schedule(config.iterations, config.curve_every, config.checkpoint_every)
     prepare = partial(trainer.start_from, scenes) if config.model.two_stage else None
-    curve = train(trainer, schedule, "full training", checkpoint, prepare)
+    curve = run_training(trainer, schedule, "full training", checkpoint, prepare)
     trainer.finish()
     return trainer, curve

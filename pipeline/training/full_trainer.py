@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from pipeline.distributed import agree, average, average_gradients, gather, share
+from pipeline.distributed import agree, average, gather, share
 from pipeline.errors import ConfigError
 from pipeline.geometry.camera import Pose
 from pipeline.networks.discriminator import ViewDiscriminator
@@ -31,8 +31,8 @@ from pipeline.training.exploration import (
 from pipeline.training.first_poses import FirstPosesConfig, first_poses, read_poses
 from pipeline.training.full_losses import FullLoss, LossConfig
 from pipeline.training.lessons import LessonsConfig, learn_poses
+from pipeline.training.optimization import falling, set_learning_rate, take_step
 from pipeline.training.photographs import Photographs
-from pipeline.training.schedule import falling, set_learning_rate
 from pipeline.training.warm_up import WarmUpConfig, warm_up
 
 
@@ -127,7 +127,7 @@ class FullTrainer:
         Ends are told before the step where `ends.after` says so. Every process explores for its share of the
         photographs and records what all of them found.
         """
-        self._tell_ends(iteration)
+        self._turn_round_if_due(iteration)
         index = self.draw(iteration)
         own = share(index)
         images, features = self.photographs.batch(own)
@@ -140,10 +140,7 @@ class FullTrainer:
         losses = self.loss.terms(features, estimate, best, self.rng)
         config = self.config
         set_learning_rate(falling(config.learning_rate, iteration, config.iterations, config.cool_down), self.optimizer)
-        self.optimizer.zero_grad(set_to_none=True)
-        losses["loss"].backward()
-        average_gradients(self.optimizer)
-        self.optimizer.step()
+        take_step(losses["loss"], self.optimizer)
         return {name: average(loss.detach()) for name, loss in losses.items()}
 
     def start_from(self, scenes: LearnedScenes) -> None:
@@ -171,7 +168,7 @@ class FullTrainer:
 
         Photographs beyond the first, or without a visit, show the ends that the networks then read off them.
         """
-        surely = self._turn_told(config)
+        surely = self._record_told_ends(config)
         if not surely.any():
             return
         poses = self.record.pose
@@ -183,17 +180,17 @@ class FullTrainer:
 
     def finish(self) -> None:
         """Tell ends where they are to be told after training, and let the pose networks learn all visited records."""
-        self._tell_ends(self.config.iterations)
+        self._turn_round_if_due(self.config.iterations)
         index = self.visits.nonzero().flatten()
         if len(index):
             self._learn(index, self.record.pose)
 
-    def _tell_ends(self, done: int) -> None:
+    def _turn_round_if_due(self, done: int) -> None:
         ends = self.config.ends
         if ends is not None and done in (int(part * self.config.iterations) for part in ends.after):
             self.turn_round(ends)
 
-    def _turn_told(self, config: EndsConfig) -> Bool[Tensor, " N"]:
+    def _record_told_ends(self, config: EndsConfig) -> Bool[Tensor, " N"]:
         """Turn recorded poses of the first photographs that show the opposite ends; tell which are now sure."""
         images, poses, model = self.photographs.images[: config.photographs], self.record.pose, self.model
         read = read_poses(model, images)

@@ -13,8 +13,8 @@ from pipeline.networks.hologan import HoloDiscriminator, HoloGANConfig, HoloGene
 from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, Part
 from pipeline.training.curves import Curve
-from pipeline.training.loop import Schedule, train
-from pipeline.training.schedule import falling, set_learning_rate
+from pipeline.training.loop import Schedule, run_training
+from pipeline.training.optimization import falling, set_learning_rate, take_step
 from pipeline.training.viewpoints import ViewpointConfig, sample_viewpoints
 
 
@@ -96,9 +96,7 @@ class HoloGANTrainer:
         score, read = self.discriminator(generated)
         loss = functional.softplus(-real).mean() + functional.softplus(score).mean()
         total = loss + self.config.identity * functional.mse_loss(read, latent)
-        self.discriminator_optimizer.zero_grad(set_to_none=True)
-        total.backward()
-        self.discriminator_optimizer.step()
+        take_step(total, self.discriminator_optimizer)
         return loss
 
     def _improve_generator(
@@ -106,9 +104,7 @@ class HoloGANTrainer:
     ) -> tuple[Float[Tensor, ""], Float[Tensor, ""]]:
         score, read = self.discriminator(self.generator(latent, azimuth, elevation))
         loss, identity = functional.softplus(-score).mean(), functional.mse_loss(read, latent)
-        self.generator_optimizer.zero_grad(set_to_none=True)
-        (loss + self.config.identity * identity).backward()
-        self.generator_optimizer.step()
+        take_step(loss + self.config.identity * identity, self.generator_optimizer)
         return loss, identity
 
 
@@ -125,4 +121,4 @@ def train_hologan(
         raise DataError(f"train_hologan.network.image_size is {size}; photographs are {images.shape[3]} pixels wide")
     trainer = HoloGANTrainer(config, images, seed)
     schedule = Schedule(config.iterations, config.curve_every, config.checkpoint_every)
-    return trainer.generator, train(trainer, schedule, "HoloGAN", checkpoint)
+    return trainer.generator, run_training(trainer, schedule, "HoloGAN", checkpoint)

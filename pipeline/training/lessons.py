@@ -13,11 +13,11 @@ from torch import Tensor
 from tqdm import tqdm
 
 from pipeline.datasets.images import Images
-from pipeline.distributed import average, average_gradients, share, silent
+from pipeline.distributed import average, share, silent
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_decoder import regression_error
 from pipeline.training.checkpoint import read_losses
-from pipeline.training.schedule import falling, set_learning_rate
+from pipeline.training.optimization import falling, set_learning_rate, take_step
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,5 @@ def learn_poses(
         loss = loss + regression_error(model.pose_decoder(code), wanted)
         losses.append({"loss": average(loss.detach())})
         set_learning_rate(falling(config.learning_rate, step, config.iterations, config.iterations / 2), optimizer)
-        optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        average_gradients(optimizer)
-        optimizer.step()
+        take_step(loss, optimizer)
     read_losses(losses, config.iterations - 1, "the lessons")

@@ -1,4 +1,4 @@
-"""The loop that every training runs in: progress, curve, restart states."""
+"""The loop of trainings that may be killed and go on: progress, curve, restart states."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from pipeline.distributed import silent
-from pipeline.training.checkpoint import Checkpoint, Part, pack, read_losses, unpack
+from pipeline.training.checkpoint import Checkpoint, Part, pack, read_losses, require_finite, unpack
 from pipeline.training.curves import Curve
 
 
@@ -38,7 +38,7 @@ class Trainer(Protocol):
         ...
 
 
-def train(
+def run_training(
     trainer: Trainer,
     schedule: Schedule,
     name: str,
@@ -52,7 +52,7 @@ def train(
     is saved; `observe` measures what else a row of the curve holds, after the row's last iteration.
 
     A killed call that is repeated with the same checkpoint ends with the same bytes (CPU). Raises TrainingDiverged
-    where a loss is not finite, before the next restart state is written.
+    where a loss or a weight is not finite, before the next restart state is written.
     """
     curve, recent, unread, first = Curve(), [], [], 0
     if (restored := checkpoint.load()) is not None:
@@ -62,20 +62,21 @@ def train(
     elif prepare is not None:
         prepare()
         checkpoint.save(pack(**trainer.parts()), {"iteration": 0, "rows": [], "recent": []})
-    last = schedule.iterations
-    for iteration in tqdm(range(first, last), name, initial=first, total=last, disable=silent()):
+    total = schedule.iterations
+    for iteration in tqdm(range(first, total), name, initial=first, total=total, disable=silent()):
         unread.append(trainer.step(iteration))
         done = iteration + 1
-        is_row = done == last or done % schedule.curve_every == 0
-        is_saved = done == last or done % schedule.checkpoint_every == 0
+        is_row = done == total or done % schedule.curve_every == 0
+        is_saved = done == total or done % schedule.checkpoint_every == 0
         if is_row or is_saved:
             recent, unread = recent + read_losses(unread, iteration, name), []
         if is_row:
             curve.append(done, **_means(recent), **observe(iteration))
             recent = []
         if is_saved:
-            values = {"iteration": done, "rows": curve.rows, "recent": recent}
-            checkpoint.save(pack(**trainer.parts()), values)
+            state = pack(**trainer.parts())
+            require_finite(state, iteration, name)
+            checkpoint.save(state, {"iteration": done, "rows": curve.rows, "recent": recent})
     return curve
 
 

@@ -13,13 +13,14 @@ from jaxtyping import Float
 from torch import Tensor
 from tqdm import tqdm
 
-from pipeline.distributed import average, average_gradients, share, silent
+from pipeline.distributed import average, share, silent
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.networks.pose_decoder import regression_error
 from pipeline.networks.scene_generator import SceneGenerator
 from pipeline.rendering.lighting import Light
 from pipeline.rendering.renderer import Mesh, render
 from pipeline.training.checkpoint import read_losses
+from pipeline.training.optimization import take_step
 from pipeline.training.viewpoints import LightConfig, sample_lights
 
 
@@ -69,10 +70,7 @@ def warm_up(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng:
     for _ in tqdm(range(config.iterations), "warm-up", disable=silent()):
         loss = warm_up_loss(model, draw_sample(model, scenes, config, rng))
         losses.append({"loss": average(loss.detach())})
-        optimizer.zero_grad(set_to_none=True)
-        loss.backward()
-        average_gradients(optimizer)
-        optimizer.step()
+        take_step(loss, optimizer)
     read_losses(losses, config.iterations - 1, "the warm-up")
 
 

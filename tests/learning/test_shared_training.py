@@ -88,6 +88,7 @@ def test_auto_is_two_processes_on_a_cpu_that_has_threads_for_them(
     assert resolve_processes("auto", CPU) == processes
 
 
-def test_auto_is_a_process_for_each_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(torch.cuda, "device_count", lambda: 4)
-    assert resolve_processes("auto", torch.device("cuda")) == 4
+@pytest.mark.parametrize(("gpus", "processes"), [(1, 1), (2, 2), (3, 2), (4, 4), (7, 4), (8, 8)])
+def test_auto_is_as_many_gpus_as_divide_batches(gpus: int, processes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: gpus)
+    assert resolve_processes("auto", torch.device("cuda")) == processes

@@ -34,6 +34,12 @@ PAPER = {
 }
 
 
+def test_no_value_is_shared_by_an_anchor() -> None:
+    """With `dvc exp run -S` such a value would change in all places or in none."""
+    events = YAML().parse(PATH.read_text(encoding="utf-8"))
+    assert [event.anchor for event in events if getattr(event, "anchor", None)] == []
+
+
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("row", sorted(PARAMS["rows"]))
 def test_every_row_loads_at_every_size(row: str, size: str) -> None:

@@ -193,6 +193,14 @@ def test_colours_are_whitened_and_the_same_in_mirror_images() -> None:
     assert (mean_colors(pictures.flip(-1)).abs() - colors.abs()).abs().max() < 1e-2
 
 
+@pytest.mark.parametrize("count", [2, 5, 9, 60])
+def test_few_or_like_photographs_can_be_balanced(count: int) -> None:
+    pictures = torch.rand(1 if count == 60 else count, 3, 16, 16, generator=generator(1)).expand(count, -1, -1, -1)
+    scores = torch.randn(count, 72, generator=generator(2))
+    probabilities = balance(scores, mean_colors(pictures), symmetric_share(scores), 0.0)
+    torch.testing.assert_close(probabilities.sum(dim=1), torch.ones(count))
+
+
 def test_votes_stay_where_there_are_no_rounds_and_repeat_for_a_seed() -> None:
     images, coordinates = photographs(12)
     votes = votes_for(torch.atan2(coordinates[:, 1], coordinates[:, 0]))

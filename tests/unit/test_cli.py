@@ -158,8 +158,8 @@ def test_a_turntable_may_be_a_film(project: Path, tmp_path: Path) -> None:
             ["reconstruct", "missing.jpg", "--out", "out"],
             r"missing\.jpg does not exist; give the path of a photograph or",
         ),
-        (["reconstruct", "x.jpg", "--run", "toybox-cat", "--out", "out"], r"has no 'runs\.toybox-cat'.*toybox-car"),
-        (["runs"], r"metrics has no figures of a run; make them with `dvc repro`"),
+        (["reconstruct", "x.jpg", "--run", "toybox-cat", "--out", "out"], r"has no run 'toybox-cat'.*toybox-car"),
+        (["runs"], r"metrics has no figures of a run; make them with `make repro`"),
         (["view"], r"index\.html does not exist; make it with `dvc repro report@toybox-car`"),
     ],
 )

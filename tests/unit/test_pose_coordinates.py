@@ -1,10 +1,13 @@
 """Pose coordinates and the placement of objects in the picture."""
 
 import math
+from dataclasses import replace
 
+import pytest
 import torch
 from torch import Tensor
 
+from pipeline.errors import ConfigError
 from pipeline.geometry.camera import CameraConfig, project
 from pipeline.geometry.symmetry import reflect
 from pipeline.networks.pose_coordinates import PoseCoordinates, PoseRange
@@ -65,6 +68,16 @@ def test_mirror_of_a_mirror_symmetric_body_is_its_mirrored_picture() -> None:
     xyz = project(vertices, poses(coordinates, vertices), CAMERA)
     mirrored = project(reflect(vertices), poses(poses.mirror(coordinates), vertices), CAMERA)
     torch.testing.assert_close(mirrored, reflect(xyz), atol=1e-5, rtol=0)
+
+
+def test_a_range_may_be_one_value_but_not_reversed() -> None:
+    poses = PoseCoordinates(replace(RANGE, roll=(0.0, 0.0), extent=(1.0, 1.0)), CAMERA, False)
+    drawn = poses.draw(4, generator(0))
+    again = poses.mirror(poses.mirror(drawn))
+    assert torch.isfinite(again).all()
+    torch.testing.assert_close(poses.box(again)[1], torch.ones(4))
+    with pytest.raises(ConfigError, match=r"pose_range\.roll is \[5\.0, -5\.0\]; expected the lower bound first"):
+        replace(RANGE, roll=(5.0, -5.0))
 
 
 def test_gradients_flow_to_coordinates_and_vertices() -> None:

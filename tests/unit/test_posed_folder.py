@@ -46,6 +46,7 @@ def test_viewpoints_stand_in_the_order_of_the_pictures(tmp_path: Path) -> None:
         (b"file,azimuth_deg,elevation_deg\n", r"poses\.csv has no column roll_deg; expected file, azimuth_deg"),
         (table("train,train/car/1.jpg,north,0,0"), r"poses\.csv, line 2: 'north' is not an angle in degrees"),
         (table("train,train/car/1.jpg,nan,0,0"), r"poses\.csv, line 2: 'nan' is not an angle in degrees"),
+        ("file,azimuth_deg,höhe".encode("latin-1"), r"poses\.csv is not text in UTF-8; save it as UTF-8"),
         (table("train,train/car/3.jpg,0,0,0"), r"poses\.csv has no row for train/car/1\.jpg; every picture needs one"),
     ],
 )

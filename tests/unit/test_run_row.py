@@ -124,6 +124,16 @@ def test_the_official_archive_is_known_by_its_name(params: Path, tmp_path: Path)
     assert YAML(typ="safe").load(params)["datasets"]["cifar10"]["kind"] == "cifar10"
 
 
+def test_what_is_no_parameter_file_is_said(params: Path) -> None:
+    text = params.read_text()
+    params.write_text(text.replace("\nrows:", "\nrws:"))
+    with pytest.raises(ConfigError, match="has no 'rows'; did you mean 'rws'"):
+        turn_on(params, _options("toybox-car"))
+    params.write_text(text + "\n]")
+    with pytest.raises(ConfigError, match="is not valid YAML"):
+        turn_on(params, _options("toybox-car"))
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [
@@ -131,9 +141,21 @@ def test_the_official_archive_is_known_by_its_name(params: Path, tmp_path: Path)
         (_options("toybox-car", size="labtop"), "did you mean 'laptop'"),
         (_options("toybox-car", ablation="no-symetry"), "did you mean 'no-symmetry'"),
         (_options("pascal-chair"), "no photographs of 'pascal3d' yet"),
-        (_options("toybox-car", source=Path("nowhere.tar")), "SOURCE=nowhere.tar does not exist"),
+        (_options("cifar10-horse", source=Path("nowhere.tar")), "SOURCE=nowhere.tar does not exist"),
         (_options("toybox-car", seed=1, size="paper", features=Path("no.npz")), "FEATURES=no.npz does not exist"),
-        (_options("toybox-car", size="laptop-imagenet"), "by a given network; name its weights with FEATURES="),
+        (_options("toybox-car", category="sports car"), "CATEGORY='sports car' has other characters than letters"),
+        (_options("xyz"), "rows has no 'xyz'; expected one of: cifar10-automobile, cifar10-horse"),
+        (_options("toybox-car", category="plane"), "'toybox' has no category 'plane'; did you mean 'aeroplane'"),
+        (_options("toybox-car", source=PARAMS.parent), "the embedded data set and has no SOURCE="),
+        (
+            _options("toybox-car", size="laptop-imagenet", features=PARAMS),
+            "pictures of 'toybox' are 32 px, but this run compares 64 px",
+        ),
+        (_options("toybox-car", dataset="my.v2"), "DATASET='my.v2' has other characters than letters"),
+        (
+            _options("pascal-car", size="laptop-imagenet", dataset="cars", source=PARAMS.parent / "docs"),
+            "by a given network; name its weights with FEATURES=",
+        ),
     ],
 )
 def test_a_wrong_name_changes_nothing(params: Path, options: Namespace, words: str) -> None:

@@ -5,7 +5,7 @@ import math
 import torch
 
 from pipeline.geometry.symmetry import mirror_index, reflect
-from pipeline.networks.decoders import FreeFormShapes, OffsetShapes, ShapeDecoder
+from pipeline.networks.shapes import FreeFormShapes, OffsetShapes, ShapeDecoder
 from pipeline.seeding import generator, initialised
 from tests.tiny_full_model import base_mesh
 

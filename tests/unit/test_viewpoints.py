@@ -5,8 +5,7 @@ import math
 import pytest
 import torch
 
-from pipeline.geometry.camera import CameraConfig, project
-from pipeline.networks.pose_coordinates import fill_picture
+from pipeline.geometry.camera import CameraConfig, fill_picture, project
 from pipeline.seeding import generator
 from pipeline.training.viewpoints import (
     AngleConfig,

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pipeline.geometry.camera import CameraConfig, Pose, project
+from pipeline.geometry.camera import CameraConfig, Pose, place_in_picture
 
 
 class Viewpoints(NamedTuple):
@@ -38,15 +38,7 @@ def choose_poses(
     roll = np.deg2rad(rng.normal(0.0, viewpoints.roll, count))
     fill = np.clip(rng.normal(viewpoints.fill, 0.11, count), 0.5, 1.25)
     shift = rng.normal(0.0, 0.07, (count, 2))
-    plain = Pose(
-        azimuth=torch.from_numpy(azimuth).float(),
-        elevation=torch.from_numpy(elevation).float(),
-        roll=torch.from_numpy(roll).float(),
-        center=torch.zeros(count, 2),
-        scale=torch.ones(count),
+    azimuths, elevations, rolls, centers, extents = (
+        torch.from_numpy(values).float() for values in (azimuth, elevation, roll, shift, fill)
     )
-    extent = project(vertices, plain, camera)[..., :2]
-    lower, upper = extent.amin(dim=1), extent.amax(dim=1)
-    scale = torch.from_numpy(2 * fill).float() / (upper - lower).amax(dim=1)
-    center = torch.from_numpy(shift).float() - scale[:, None] * (lower + upper) / 2
-    return plain._replace(center=center, scale=scale)
+    return place_in_picture(vertices, azimuths, elevations, rolls, centers, extents, camera)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from pipeline.training.schedule import falling, set_learning_rate
+from pipeline.training.optimization import falling, set_learning_rate
 
 
 def test_a_rate_falls_to_zero_over_the_cool_down() -> None:

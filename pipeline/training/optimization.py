@@ -1,6 +1,18 @@
-"""Learning rates."""
+"""Steps of optimisers and their learning rates."""
 
 import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from pipeline.distributed import average_gradients
+
+
+def take_step(loss: Float[Tensor, ""], optimizer: torch.optim.Optimizer) -> None:
+    """Descend along a loss's gradient, averaged over the processes that share the training."""
+    optimizer.zero_grad(set_to_none=True)
+    loss.backward()
+    average_gradients(optimizer)
+    optimizer.step()
 
 
 def set_learning_rate(rate: float, *optimizers: torch.optim.Optimizer) -> None:

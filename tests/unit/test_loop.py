@@ -1,0 +1,56 @@
+"""The loop of trainings: what it writes down, and what it refuses to."""
+
+from pathlib import Path
+
+import pytest
+import torch
+from torch import Tensor
+
+from pipeline.errors import TrainingDiverged
+from pipeline.training.checkpoint import Checkpoint, Part
+from pipeline.training.loop import Schedule, run_training
+
+
+class Descent:
+    """Walk down a parabola; from some iteration on the loss is finite and its gradient is not."""
+
+    def __init__(self, broken_from: int = 99) -> None:
+        self.place, self.broken_from = torch.tensor(1.0), broken_from
+
+    def step(self, iteration: int) -> dict[str, Tensor]:
+        loss = self.place**2
+        self.place = self.place * (0.5 if iteration < self.broken_from else torch.nan)
+        return {"loss": loss}
+
+    def parts(self) -> dict[str, Part]:
+        return {"place": self.place}
+
+
+def test_rows_are_means_and_the_last_one_may_be_short(tmp_path: Path) -> None:
+    curve = run_training(
+        Descent(), Schedule(5, 2, 3), "descent", Checkpoint(tmp_path, "key"), observe=lambda i: {"seen": i}
+    )
+    losses = [0.25**iteration for iteration in range(5)]
+    means = [sum(losses[:2]) / 2, sum(losses[2:4]) / 2, losses[4]]
+    assert [row["loss"] for row in curve.rows] == pytest.approx(means, rel=1e-5)
+    assert [(row["iteration"], row["seen"]) for row in curve.rows] == [(2, 1), (4, 3), (5, 4)]
+
+
+def test_what_prepares_a_training_happens_once(tmp_path: Path) -> None:
+    prepared: list[int] = []
+    for _ in range(2):
+        run_training(
+            Descent(), Schedule(0, 1, 1), "descent", Checkpoint(tmp_path, "key"), prepare=lambda: prepared.append(1)
+        )
+    assert prepared == [1]
+
+
+@pytest.mark.parametrize("broken_from", [3, 5])
+def test_weights_that_are_not_finite_are_never_saved(broken_from: int, tmp_path: Path) -> None:
+    checkpoint = Checkpoint(tmp_path, "key")
+    with pytest.raises(TrainingDiverged, match=f"place is no longer finite after iteration {broken_from} of descent"):
+        run_training(Descent(broken_from), Schedule(6, 6, 2), "descent", checkpoint)
+    restored = checkpoint.load()
+    assert restored is not None
+    assert restored[1]["iteration"] == broken_from - 1
+    assert torch.isfinite(restored[0]["place"])
