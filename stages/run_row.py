@@ -57,7 +57,7 @@ def turn_on(path: Path, options: Namespace) -> str:
     """
     for section in ("datasets", "features", "base_shapes", "runs", "rows", "sizes", "ablations"):
         scalar(path, section)
-    yaml = _yaml()
+    yaml = round_trip_yaml()
     document = yaml.load(path)
     for kind, name in (("rows", options.row), ("sizes", options.size), ("ablations", options.ablation)):
         _require(name, document[kind], f"{path}: {kind}")
@@ -102,7 +102,7 @@ def _require_same_row(entry: dict[str, Any] | None, name: str, row: str) -> None
 
 def turn_on_baseline(path: Path, baseline: str, run: str) -> None:
     """Add the baseline beside a run that is on, with the settings of the run that it shares."""
-    yaml = _yaml()
+    yaml = round_trip_yaml()
     document = yaml.load(path)
     settings = ("size", "seed", "dataset", "category", "features")
     document[baseline].fa.set_block_style()
@@ -111,7 +111,8 @@ def turn_on_baseline(path: Path, baseline: str, run: str) -> None:
         yaml.dump(document, temporary)
 
 
-def _yaml() -> YAML:
+def round_trip_yaml() -> YAML:
+    """Return a reader and writer of params.yaml that keeps comments, order and layout."""
     yaml = YAML()
     yaml.width = 120
     yaml.representer.add_representer(

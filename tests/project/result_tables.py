@@ -17,10 +17,8 @@ from pipeline.export.runs_page import Figure, Figures, MeasuredRun
 from pipeline.files import read_json
 from tests.project.import_closure import ROOT
 
-METRICS = ROOT / "results" / "metrics"
-PICTURES = ROOT / "results" / "tables"
 SIDES = ("front", "left", "rear", "right")
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = ["README.md", *sorted(f"docs/{path.name}" for path in ROOT.glob("docs/*.md"))]
 MARKED = re.compile(r"(?<=<!-- table: )([\w-]+)( -->\n).*?(?=<!-- end of table -->)", re.DOTALL)
 
 
@@ -37,19 +35,19 @@ class Table(NamedTuple):
     runs: str
     columns: dict[str, str]
 
-    def rows(self) -> Iterator[list[str]]:
+    def rows(self, results: Path) -> Iterator[list[str]]:
         """Yield the heading and one row an experiment."""
         yield ["run", "seeds", "n", *self.columns]
         first, *_ = self.columns.values()
-        for name, runs in sorted(self._seeds().items()):
+        for name, runs in sorted(self._seeds(results).items()):
             if first in runs[0]:
                 counts = sorted({str(run[first]["n"]) for run in runs if first in run})
                 cells = [_cell([run[key] for run in runs if key in run]) for key in self.columns.values()]
                 yield [f"`{name}`", str(len(runs)), ", ".join(counts), *cells]
 
-    def _seeds(self) -> dict[str, list[Figures]]:
+    def _seeds(self, results: Path) -> dict[str, list[Figures]]:
         seeds: defaultdict[str, list[Figures]] = defaultdict(list)
-        for path in sorted((METRICS / self.folder).glob("*.json")):
+        for path in sorted((results / "metrics" / self.folder).glob("*.json")):
             run = MeasuredRun(path.stem, None, read_json(path))
             if re.fullmatch(self.runs, run.experiment):
                 seeds[run.experiment].append(run.by_name())
@@ -65,11 +63,11 @@ class Confusion(NamedTuple):
     experiment: str
     azimuth: str
 
-    def rows(self) -> Iterator[list[str]]:
+    def rows(self, results: Path) -> Iterator[list[str]]:
         """Yield the heading and one row a true side."""
         yield ["true side", "n", *(f"read as {side}" for side in SIDES)]
         counts: Counter[tuple[int, int]] = Counter()
-        for path in PICTURES.glob(f"{self.experiment}*.csv"):
+        for path in results.glob(f"tables/{self.experiment}*.csv"):
             if MeasuredRun(path.stem, None, {}).experiment == self.experiment:
                 table = read_table(path)
                 counts.update(zip(_sides(table["truth_azimuth"]), _sides(table[self.azimuth]), strict=True))
@@ -195,14 +193,14 @@ TABLES: dict[str, Table | Confusion] = {
 }
 
 
-def with_tables(text: str) -> str:
+def with_tables(text: str, results: Path) -> str:
     """Return a page with every table made anew."""
-    return MARKED.sub(lambda found: f"{found[1]}{found[2]}\n{render(TABLES[found[1]])}\n", text)
+    return MARKED.sub(lambda found: f"{found[1]}{found[2]}\n{render(TABLES[found[1]], results)}\n", text)
 
 
-def render(table: Table | Confusion) -> str:
+def render(table: Table | Confusion, results: Path) -> str:
     """Write a table as Markdown."""
-    heading, *rows = table.rows()
+    heading, *rows = table.rows(results)
     return "".join(f"| {' | '.join(row)} |\n" for row in [heading, ["---"] * len(heading), *rows])
 
 
@@ -214,9 +212,9 @@ def _cell(found: list[Figure]) -> str:
 
 
 def _rewrite(page: Path) -> None:
-    page.write_text(with_tables(page.read_text()))
+    page.write_text(with_tables(page.read_text(), ROOT / "results"))
 
 
 if __name__ == "__main__":
     for page in PAGES:
-        _rewrite(page)
+        _rewrite(ROOT / page)

@@ -84,10 +84,9 @@ def test_training_never_reads_the_truth(stage: str) -> None:
     assert not any("truth" in dependency for dependency in STAGES[stage]["deps"])
 
 
-def test_runs_agree_with_their_rows() -> None:
+def test_what_runs_name_is_on() -> None:
     for name, run in PARAMS["runs"].items():
-        row = PARAMS["rows"][run["row"]]
-        assert (run["dataset"], run["category"]) == (row["dataset"], row["category"]), name
+        assert run["row"] in PARAMS["rows"], name
         assert run["dataset"] in PARAMS["datasets"], name
         assert PARAMS["features"][run["features"]]["dataset"] == run["dataset"], name
         base_shape = PARAMS["base_shapes"][run["base_shape"]]

@@ -10,6 +10,8 @@ from typing import Any
 
 from ruamel.yaml import YAML
 
+from tests.fresh_params import write_fresh_params
+
 ROOT = Path(__file__).parents[2]
 
 TINY: dict[str, Any] = {
@@ -80,12 +82,7 @@ def make_tiny_project(folder: Path) -> None:
     (folder / "data" / "raw").mkdir(parents=True)
     for path in (ROOT / "dvc.yaml", ROOT / ".dvcignore", *ROOT.glob("data/raw/*.safetensors")):
         shutil.copy(path, folder / path.relative_to(ROOT))
-    yaml = YAML(typ="safe")
-    params = yaml.load(ROOT / "params.yaml")
-    params["runs"] = {"toybox-car": params["runs"]["toybox-car"]}
-    params["base_shapes"] = {"toybox-car": params["base_shapes"]["toybox-car"]}
-    params["features"] = {"toybox-laptop": params["features"]["toybox-laptop"]}
-    params["datasets"] = {"toybox": params["datasets"]["toybox"]}
+    params = YAML(typ="safe").load(write_fresh_params(folder / "params.yaml"))
     params["sizes"]["laptop"] = {stage: {} for stage in params["sizes"]["laptop"]}
     for row in params["rows"].values():
         row["learn_base_shape"].pop("iterations", None)

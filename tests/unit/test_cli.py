@@ -19,9 +19,8 @@ from pipeline.files import save_tensors
 from pipeline.networks.feature_extractor import save_feature_extractor
 from pipeline.networks.full_model import full_model_texts
 from pipeline.networks.wide_resnet import WideResNet
+from tests.fresh_params import write_fresh_params
 from tests.tiny_full_model import photographs, tiny_model
-
-ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture
@@ -30,7 +29,7 @@ def project(tmp_path: Path) -> Path:
     folder = tmp_path / "project"
     (folder / "models").mkdir(parents=True)
     yaml = YAML(typ="safe")
-    params = yaml.load(ROOT / "params.yaml")
+    params = yaml.load(write_fresh_params(folder / "params.yaml"))
     for phase in ("background", "pose", "shape"):
         params["sizes"]["laptop"]["fine_tune"][phase] = {"steps": 2}
     params["report"] |= {"frames": 4, "view": {"size": 64, "supersampling": 1, "elevation": 15}}

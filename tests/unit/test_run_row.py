@@ -1,6 +1,5 @@
 """Rows are turned on without disturbing the parameter file."""
 
-import shutil
 from argparse import Namespace
 from pathlib import Path
 
@@ -9,17 +8,18 @@ from ruamel.yaml import YAML
 
 from pipeline.errors import ConfigError
 from stages.run_row import turn_on, turn_on_baseline
+from tests.fresh_params import write_fresh_params
 from tests.pascal3d_tree import release
 from tests.picture_trees import tree, write_folder, write_tar
 
-PARAMS = Path(__file__).parents[2] / "params.yaml"
+ROOT = Path(__file__).parents[2]
 USUAL = {"size": "laptop", "ablation": "none", "seed": 0, "source": None, "features": None}
 USUAL |= {"dataset": None, "category": None}
 
 
 @pytest.fixture
 def params(tmp_path: Path) -> Path:
-    return Path(shutil.copy(PARAMS, tmp_path / "params.yaml"))
+    return write_fresh_params(tmp_path / "params.yaml")
 
 
 def _options(row: str, **unusual: object) -> Namespace:
@@ -27,8 +27,19 @@ def _options(row: str, **unusual: object) -> Namespace:
 
 
 def test_what_is_on_stays_as_it_is(params: Path) -> None:
+    before = params.read_bytes()
     assert turn_on(params, _options("toybox-car")) == "toybox-car"
-    assert params.read_bytes() == PARAMS.read_bytes()
+    assert params.read_bytes() == before
+
+
+@pytest.mark.parametrize("row", ["toybox-aeroplane", "toybox-car", "toybox-chair", "toybox-horse"])
+def test_a_run_has_the_photographs_of_its_row(params: Path, row: str) -> None:
+    name = turn_on(params, _options(row, seed=3))
+    document = YAML(typ="safe").load(params)
+    run, settings = document["runs"][name], document["rows"][row]
+    assert (run["row"], run["dataset"], run["category"]) == (row, settings["dataset"], settings["category"])
+    assert run["dataset"] in document["datasets"]
+    assert document["features"][run["features"]]["dataset"] == run["dataset"]
 
 
 def test_photographs_with_a_table_of_poses_are_a_posed_folder(params: Path, tmp_path: Path) -> None:
@@ -46,7 +57,7 @@ def test_the_release_of_pascal3d_is_known_by_its_annotations(params: Path, tmp_p
 
 
 def test_a_row_brings_its_dataset_features_and_run(params: Path, tmp_path: Path) -> None:
-    archive = write_tar(tmp_path / "cifar10_jpeg.tar", tree())
+    archive, before = write_tar(tmp_path / "cifar10_jpeg.tar", tree()), params.read_text().splitlines()
     assert turn_on(params, _options("cifar10-horse", source=archive)) == "cifar10-horse"
     document = YAML(typ="safe").load(params)
     assert document["datasets"]["cifar10"] == {"kind": "folder", "source": str(archive)}
@@ -57,7 +68,7 @@ def test_a_row_brings_its_dataset_features_and_run(params: Path, tmp_path: Path)
     assert (run["dataset"], run["category"], run["features"]) == ("cifar10", "horse", "cifar10-laptop")
     assert document["base_shapes"][run.pop("base_shape")] == run
     lines = iter(params.read_text().splitlines())
-    assert all(line in lines for line in PARAMS.read_text().splitlines()), "a line was changed or moved"
+    assert all(line in lines for line in before), "a line was changed or moved"
 
 
 def test_a_given_network_gets_pictures_of_the_size_it_needs(params: Path, tmp_path: Path) -> None:
@@ -146,19 +157,20 @@ def test_what_is_no_parameter_file_is_said(params: Path) -> None:
         (_options("toybox-car", category="sports car"), "CATEGORY='sports car' has other characters than letters"),
         (_options("xyz"), "rows has no 'xyz'; expected one of: cifar10-automobile, cifar10-horse"),
         (_options("toybox-car", category="plane"), "'toybox' has no category 'plane'; did you mean 'aeroplane'"),
-        (_options("toybox-car", source=PARAMS.parent), "the embedded data set and has no SOURCE="),
+        (_options("toybox-car", source=ROOT), "the embedded data set and has no SOURCE="),
         (
-            _options("toybox-car", size="laptop-imagenet", features=PARAMS),
+            _options("toybox-car", size="laptop-imagenet", features=ROOT / "params.yaml"),
             "pictures of 'toybox' are 32 px, but this run compares 64 px",
         ),
         (_options("toybox-car", dataset="my.v2"), "DATASET='my.v2' has other characters than letters"),
         (
-            _options("pascal-car", size="laptop-imagenet", dataset="cars", source=PARAMS.parent / "docs"),
+            _options("pascal-car", size="laptop-imagenet", dataset="cars", source=ROOT / "docs"),
             "by a given network; name its weights with FEATURES=",
         ),
     ],
 )
 def test_a_wrong_name_changes_nothing(params: Path, options: Namespace, words: str) -> None:
+    before = params.read_bytes()
     with pytest.raises(ConfigError, match=words):
         turn_on(params, options)
-    assert params.read_bytes() == PARAMS.read_bytes()
+    assert params.read_bytes() == before

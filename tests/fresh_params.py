@@ -1,0 +1,42 @@
+"""The parameters of a new checkout, whatever its user has turned on since."""
+
+from pathlib import Path
+
+from stages.run_row import round_trip_yaml
+
+ROOT = Path(__file__).parents[1]
+RUN = {
+    "row": "toybox-car",
+    "size": "laptop",
+    "ablation": "none",
+    "seed": 0,
+    "dataset": "toybox",
+    "category": "car",
+    "features": "toybox-laptop",
+}
+ON = {
+    "datasets": {"toybox": {"kind": "toybox", "source": "pipeline/datasets/toybox"}},
+    "features": {
+        "toybox-laptop": {
+            "dataset": "toybox",
+            "size": "laptop",
+            "seed": 0,
+            "weights": "data/raw/wide_resnet_16_2_cifar10.safetensors",
+        }
+    },
+    "base_shapes": {"toybox-car": RUN},
+    "runs": {"toybox-car": {**RUN, "base_shape": "toybox-car"}},
+    "hologan": {},
+    "colmap": {},
+}
+
+
+def write_fresh_params(path: Path) -> Path:
+    """Write the project's parameters with the toybox car alone turned on."""
+    yaml = round_trip_yaml()
+    document = yaml.load(ROOT / "params.yaml")
+    for section, entries in ON.items():
+        document[section].clear()
+        document[section].update(entries)
+    yaml.dump(document, path)
+    return path
