@@ -7,7 +7,7 @@ import torch
 from pipeline.config import load
 from pipeline.datasets.images import load_images
 from pipeline.evaluation.artifacts import load_photographs, load_reconstructions, load_true_split, select
-from pipeline.evaluation.evaluate import EvaluateConfig, Learned, evaluate_images, evaluate_truth
+from pipeline.evaluation.evaluate import ChainResult, EvaluateConfig, evaluate_images, evaluate_truth
 from pipeline.evaluation.multiview import evaluate_views
 from pipeline.evaluation.tables import write_table
 from pipeline.files import load_tensors, write_json
@@ -47,7 +47,7 @@ def main() -> None:
     if test is not None and training is not None:
         model, mesh = (load_tensors(path)[0] for path in (arguments.model, arguments.mesh))
         visited = model["train_visits"].nonzero().flatten()
-        learned = Learned(
+        learned = ChainResult(
             reconstructions,
             pose_from_tensor(model["train_pose"][visited]),
             mesh["vertices"],

@@ -17,15 +17,13 @@ from stages.command_line import parse, run
 
 def main() -> None:
     """Reconstruct the test photographs, fine-tune each reconstruction, and write both with their losses."""
-    arguments = parse(
-        __doc__, images=Path, features=Path, model=Path, seed=int, checkpoints=Path, out=Path, metrics=Path
-    )
+    arguments = parse(__doc__, images=Path, features=Path, model=Path, checkpoints=Path, out=Path, metrics=Path)
     config = load(arguments.params, FineTuneConfig, arguments.sections)
     device = resolve_device(scalar(arguments.params, "device"))
     memory = resolve_memory(scalar(arguments.params, "memory"))
     precision = resolve_precision(scalar(arguments.params, "precision"), device)
     inputs = [arguments.images, arguments.features, arguments.model]
-    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed, device, precision))
+    checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, None, device, precision))
     results = fine_tune(
         config,
         place_images([load_images(arguments.images)], device, memory),

@@ -131,24 +131,30 @@ def _put(entries: CommentedMap, name: str, entry: dict[str, Any]) -> None:
 
 def _turn_on_dataset(document: CommentedMap, name: str, source: Path | None, size: int) -> None:
     datasets = document["datasets"]
-    if source is None:
-        if name not in datasets:
-            raise ConfigError(f"no photographs of '{name}' yet; name their folder or archive with SOURCE=")
-        entry = {}
-    else:
+    is_new, entry = name not in datasets, dict(datasets.get(name, {}))
+    if source is not None:
         source = _existing("SOURCE", source)
-        entry = {"kind": _kind(source), "source": str(source)}
-    kind = entry.get("kind") or datasets[name]["kind"]
-    settings = document["prepare_data"][kind]
-    fixed = settings["photograph"]["size"] if kind == "toybox" else CIFAR10_SIZE if kind == "cifar10" else None
-    usual = fixed or settings["size"]
-    found = fixed or (datasets[name].get(kind, {}).get("size", usual) if name in datasets else size)
+        entry |= {"kind": _kind(source), "source": str(source)}
+    elif is_new:
+        raise ConfigError(f"no photographs of '{name}' yet; name their folder or archive with SOURCE=")
+    kind = entry["kind"]
+    settings = {**document["prepare_data"][kind], **entry.get(kind, {})}
+    if is_new and settings.get("size", size) != size:
+        settings["size"] = size
+        entry[kind] = {"size": size}
+    found = _picture_size(kind, settings)
     if found != size:
         raise ConfigError(
             f"pictures of '{name}' are {found} px, but this run compares {size} px; name a second dataset with "
             "DATASET= and SOURCE="
         )
-    _put(datasets, name, entry | ({kind: {"size": size}} if usual != size else {}))
+    _put(datasets, name, entry)
+
+
+def _picture_size(kind: str, settings: dict[str, Any]) -> int:
+    if kind == "cifar10":
+        return CIFAR10_SIZE
+    return (settings["photograph"] if kind == "toybox" else settings)["size"]
 
 
 def _turn_on_features(document: CommentedMap, name: str, entry: dict[str, Any], weights: Path | None) -> None:

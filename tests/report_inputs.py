@@ -2,7 +2,7 @@
 
 import torch
 
-from pipeline.evaluation.artifacts import Reconstruction, Reconstructions
+from pipeline.evaluation.artifacts import Reconstructions, Snapshot
 from pipeline.export.report import ReportConfig, ReportInputs
 from pipeline.export.views import ViewConfig
 from pipeline.geometry.camera import CameraConfig, Pose
@@ -28,7 +28,7 @@ def inputs(truth: bool) -> ReportInputs:
     pose = Pose(zeros, zeros, zeros, torch.zeros(COUNT, 2), zeros + 1)
     base = directions * DIMENSIONS / 2
     vertices = base.expand(COUNT, -1, -1)
-    found = Reconstruction(pose, vertices, *[torch.full((COUNT, 3, 16, 16), 0.5)] * 2)
+    found = Snapshot(pose, vertices, *[torch.full((COUNT, 3, 16, 16), 0.5)] * 2)
     columns = {"feature_distance": figure(0.5), "psnr": figure(20), "ssim": figure(0.5)}
     figures: dict = {
         "reconstruction": dict.fromkeys(("predicted", "tuned", "retrieved"), columns) | {"improved": figure(0.75)}

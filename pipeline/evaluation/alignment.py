@@ -57,16 +57,16 @@ def fit_constant(truth: Pose) -> Float[Tensor, "3 3"]:
     return candidates[errors.mean(1).masked_fill(hits < hits.max(), math.inf).argmin()]
 
 
-def chance_errors(truth: Pose, training: Pose, draws: int, generator: torch.Generator) -> Float[Tensor, "draws B"]:
+def chance_errors(truth: Pose, training: Pose, draws: int, rng: torch.Generator) -> Float[Tensor, "draws B"]:
     """Measure the errors of guesses: azimuth uniform over the circle, elevation and roll of a random training picture.
 
     The azimuths of one picture's draws are evenly spaced from a random start, which leaves less noise than independent
     ones. Knowing the true distribution of elevation and roll makes this chance a little better than blind.
     """
     count = len(truth.azimuth)
-    start = torch.rand(count, generator=generator, dtype=torch.float64)
+    start = torch.rand(count, generator=rng, dtype=torch.float64)
     turns = (torch.arange(draws, dtype=torch.float64)[:, None] / draws + start) * (2 * math.pi)
-    donors = torch.randint(len(training.azimuth), (draws, count), generator=generator)
+    donors = torch.randint(len(training.azimuth), (draws, count), generator=rng)
     elevation, roll = training.elevation.double()[donors], training.roll.double()[donors]
     guesses = rotation_from_angles(turns.flatten(), elevation.flatten(), roll.flatten())
     return geodesic_distance(rotation(truth).expand(draws, count, 3, 3), guesses.reshape(draws, count, 3, 3))

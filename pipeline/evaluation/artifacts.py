@@ -15,7 +15,7 @@ from pipeline.geometry.camera import Pose, pose_from_tensor
 STAGES = ("predicted", "tuned")
 
 
-class Reconstruction(NamedTuple):
+class Snapshot(NamedTuple):
     """The test pictures as the model explains them, at one moment.
 
     Attributes:
@@ -40,8 +40,8 @@ class Reconstructions(NamedTuple):
         test_index: position of each picture in the test split.
     """
 
-    predicted: Reconstruction
-    tuned: Reconstruction
+    predicted: Snapshot
+    tuned: Snapshot
     textures: Float[Tensor, "B 3 T T"]
     faces: Int[Tensor, "F 3"]
     directions: Float[Tensor, "V 3"]
@@ -67,8 +67,8 @@ def load_reconstructions(path: Path) -> Reconstructions:
     """Read the artifact of `fine_tune`."""
     tensors, _ = load_tensors(path)
 
-    def at(stage: str) -> Reconstruction:
-        return Reconstruction(
+    def at(stage: str) -> Snapshot:
+        return Snapshot(
             pose_from_tensor(tensors[f"pose_{stage}"]),
             tensors[f"vertices_{stage}"],
             tensors[f"backgrounds_{stage}"].float() / 255,

@@ -10,13 +10,13 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from pipeline.evaluation.alignment import fit_alignment, turn_pose, turn_vertices
-from pipeline.evaluation.artifacts import STAGES, Reconstruction, Reconstructions, TrueObjects, Truth
+from pipeline.evaluation.artifacts import STAGES, Reconstructions, Snapshot, TrueObjects, Truth
 from pipeline.evaluation.image_metrics import image_columns, image_figures
 from pipeline.evaluation.multiview import MultiviewConfig
 from pipeline.evaluation.pose_metrics import baseline_figures, pose_columns, pose_figures
 from pipeline.evaluation.retrieval import retrieve
 from pipeline.evaluation.shape import iou
-from pipeline.evaluation.shape_metrics import ShapeConfig, TrueShapes, silhouettes
+from pipeline.evaluation.shape_metrics import ShapeMetricsConfig, TrueShapes, silhouettes
 from pipeline.evaluation.statistics import mean_figure
 from pipeline.geometry.camera import Pose
 from pipeline.networks.feature_extractor import FeatureExtractor
@@ -39,13 +39,13 @@ class EvaluateConfig:
     """
 
     seed: int
-    shape: ShapeConfig
+    shape: ShapeMetricsConfig
     chance_draws: int
     batch_size: int
     multiview: MultiviewConfig
 
 
-class Learned(NamedTuple):
+class ChainResult(NamedTuple):
     """What the chain learned, all in the learned frame.
 
     Attributes:
@@ -85,7 +85,7 @@ def evaluate_images(
 
 
 def evaluate_truth(
-    learned: Learned, training: Truth, test: Truth, config: EvaluateConfig
+    learned: ChainResult, training: Truth, test: Truth, config: EvaluateConfig
 ) -> tuple[dict[str, Any], Columns]:
     """Measure viewpoints, and shapes where they are known; return the figures and one row a picture.
 
@@ -103,7 +103,7 @@ def evaluate_truth(
 
 
 def _evaluate_pose(
-    learned: Learned, training: Truth, test: Truth, angle: float, config: EvaluateConfig
+    learned: ChainResult, training: Truth, test: Truth, angle: float, config: EvaluateConfig
 ) -> tuple[dict[str, Any], Columns]:
     rng = generator(config.seed, "evaluate pose")
     figures: dict[str, Any] = baseline_figures(test.pose, training.pose, config.chance_draws, rng)
@@ -117,13 +117,13 @@ def _evaluate_pose(
 
 
 def _evaluate_shape(
-    learned: Learned, training: TrueObjects, test: TrueObjects, angle: float, config: EvaluateConfig
+    learned: ChainResult, training: TrueObjects, test: TrueObjects, angle: float, config: EvaluateConfig
 ) -> tuple[dict[str, Any], Columns]:
     rng = generator(config.seed, "evaluate shape")
     shapes = TrueShapes(test, training, config.shape, rng)
     columns = {}
     for stage in STAGES:
-        reconstruction: Reconstruction = getattr(learned.reconstructions, stage)
+        reconstruction: Snapshot = getattr(learned.reconstructions, stage)
         vertices = turn_vertices(reconstruction.vertices, angle)
         columns[stage] = shapes.columns(vertices, learned.reconstructions.faces, rng)
         masks = silhouettes(

@@ -27,7 +27,7 @@ def pose_columns(truth: Pose, estimate: Pose) -> Columns:
     }
 
 
-def pose_figures(truth: Pose, estimate: Pose, generator: torch.Generator) -> Figures:
+def pose_figures(truth: Pose, estimate: Pose, rng: torch.Generator) -> Figures:
     """Summarize aligned estimates: accuracy, median error, the modes of failure, and the side seen.
 
     `seen_side` is the fraction of pictures whose nearest side (front, left, back, right) is right; `front_or_side` asks
@@ -35,7 +35,7 @@ def pose_figures(truth: Pose, estimate: Pose, generator: torch.Generator) -> Fig
     """
     modes = error_mode(truth, estimate)
     true_side, side = seen_side(truth.azimuth), seen_side(estimate.azimuth)
-    figures = error_figures(pose_error(truth, estimate), generator)
+    figures = error_figures(pose_error(truth, estimate), rng)
     for index, name in enumerate(MODES[1:], start=1):
         figures[name] = mean_figure(modes == index)
     figures["seen_side"] = mean_figure(side == true_side)
@@ -43,10 +43,10 @@ def pose_figures(truth: Pose, estimate: Pose, generator: torch.Generator) -> Fig
     return figures
 
 
-def error_figures(errors: Float[Tensor, " B"], generator: torch.Generator) -> Figures:
+def error_figures(errors: Float[Tensor, " B"], rng: torch.Generator) -> Figures:
     """Summarize geodesic errors in radians: fraction within 30 degrees (n, standard error beside it), and median."""
     accuracy = mean_figure(errors <= ACCURATE)
-    median = median_figure(torch.rad2deg(errors), generator)
+    median = median_figure(torch.rad2deg(errors), rng)
     return {
         "acc_pi6": accuracy["value"],
         "n": accuracy["n"],
@@ -55,14 +55,14 @@ def error_figures(errors: Float[Tensor, " B"], generator: torch.Generator) -> Fi
     }
 
 
-def baseline_figures(truth: Pose, training: Pose, draws: int, generator: torch.Generator) -> dict[str, Figures]:
+def baseline_figures(truth: Pose, training: Pose, draws: int, rng: torch.Generator) -> dict[str, Figures]:
     """Measure what needs no picture: `chance` guesses azimuth, `constant` always gives the training split's best pose.
 
     For chance, n counts pictures and the standard error is that of the pictures' hit rates over all their draws.
     """
-    guesses = chance_errors(truth, training, draws, generator)
+    guesses = chance_errors(truth, training, draws, rng)
     hits = mean_figure((guesses <= ACCURATE).double().mean(0))
-    median = median_figure(torch.rad2deg(guesses).quantile(0.5, dim=0), generator)
+    median = median_figure(torch.rad2deg(guesses).quantile(0.5, dim=0), rng)
     constant = geodesic_distance(rotation(truth), fit_constant(training).expand(len(truth.azimuth), 3, 3))
     return {
         "chance": {
@@ -71,7 +71,7 @@ def baseline_figures(truth: Pose, training: Pose, draws: int, generator: torch.G
             "standard_error": hits["standard_error"],
             "median_error_degrees": median,
         },
-        "constant": error_figures(constant, generator),
+        "constant": error_figures(constant, rng),
     }
 
 

@@ -16,14 +16,14 @@ def iou(first: Bool[Tensor, "B *grid"], second: Bool[Tensor, "B *grid"]) -> Floa
 
 
 def sample_surface(
-    vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], count: int, generator: torch.Generator
+    vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], count: int, rng: torch.Generator
 ) -> tuple[Float[Tensor, "B count 3"], Float[Tensor, "B count 3"]]:
     """Draw points uniformly by area from each surface; return them and their outward unit normals."""
     corners = vertices[:, faces]
     edges = corners[:, :, 1:] - corners[:, :, :1]
     crosses = torch.linalg.cross(edges[:, :, 0], edges[:, :, 1])
-    chosen = torch.multinomial(crosses.norm(dim=-1), count, replacement=True, generator=generator)
-    weights = torch.rand(len(vertices), count, 2, generator=generator, dtype=vertices.dtype)
+    chosen = torch.multinomial(crosses.norm(dim=-1), count, replacement=True, generator=rng)
+    weights = torch.rand(len(vertices), count, 2, generator=rng, dtype=vertices.dtype)
     weights = torch.where(weights.sum(-1, keepdim=True) > 1, 1 - weights, weights)
     batch = torch.arange(len(vertices))[:, None]
     points = corners[batch, chosen, 0] + (edges[batch, chosen] * weights[..., None]).sum(2)
@@ -35,14 +35,14 @@ def sample_outer_surface(
     faces: Int[Tensor, "F 3"],
     voxels: Bool[Tensor, "B K K K"],
     count: int,
-    generator: torch.Generator,
+    rng: torch.Generator,
 ) -> Float[Tensor, "B count 3"]:
     """Draw points by area from the surface that can be touched from outside, for shapes made of overlapping parts.
 
     A point is hidden if one voxel's width along its normal the shape goes on. `SPARE` times as many points are drawn as
     kept; should fewer be exposed, hidden ones fill up.
     """
-    points, normals = sample_surface(vertices, faces, SPARE * count, generator)
+    points, normals = sample_surface(vertices, faces, SPARE * count, rng)
     resolution = voxels.shape[-1]
     outside = ((points + normals / resolution + 0.5) * resolution).floor().long()
     inside_grid = ((outside >= 0) & (outside < resolution)).all(-1)

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pipeline.evaluation.artifacts import Reconstruction, TrueObjects
+from pipeline.evaluation.artifacts import Snapshot, TrueObjects
 from pipeline.evaluation.shape import chamfer_l1, iou, sample_outer_surface
 from pipeline.evaluation.statistics import Figure, mean_figure
 from pipeline.geometry.normalize import fit_unit_cube
@@ -18,7 +18,7 @@ Columns = dict[str, Tensor]
 
 
 @dataclass(frozen=True)
-class ShapeConfig:
+class ShapeMetricsConfig:
     """How finely shapes are compared.
 
     Attributes:
@@ -34,37 +34,35 @@ class TrueShapes:
     """The true shapes of the test pictures, voxelized and sampled once, and the mean shape of the training split."""
 
     def __init__(
-        self, truth: TrueObjects, training: TrueObjects, config: ShapeConfig, generator: torch.Generator
+        self, truth: TrueObjects, training: TrueObjects, config: ShapeMetricsConfig, rng: torch.Generator
     ) -> None:
         self._config = config
         self.faces = truth.faces
         self.voxels = voxelize(truth.vertices, truth.faces, config.voxel_resolution)
-        self.points = sample_outer_surface(truth.vertices, truth.faces, self.voxels, config.surface_points, generator)
+        self.points = sample_outer_surface(truth.vertices, truth.faces, self.voxels, config.surface_points, rng)
         occupied = voxelize(training.vertices, training.faces, config.voxel_resolution)
         self.mean_shape: Bool[Tensor, "K K K"] = occupied.double().mean(0) >= 0.5
 
-    def columns(
-        self, vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], generator: torch.Generator
-    ) -> Columns:
+    def columns(self, vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], rng: torch.Generator) -> Columns:
         """Compare one shape per picture, already in the frame of the truth, with the picture's true shape.
 
         Shapes are scaled into the unit cube again, because turning them may have changed their bounding box.
         """
         fitted = fit_unit_cube(vertices)
         voxels = voxelize(fitted, faces, self._config.voxel_resolution)
-        points = sample_outer_surface(fitted, faces, voxels, self._config.surface_points, generator)
+        points = sample_outer_surface(fitted, faces, voxels, self._config.surface_points, rng)
         return {
             "voxel_iou": iou(voxels, self.voxels),
             "chamfer_l1": _chamfer_in_parts(points, self.points),
         }
 
     def base_figures(
-        self, base: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], generator: torch.Generator
+        self, base: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], rng: torch.Generator
     ) -> dict[str, Any]:
         """Compare the one base shape, already aligned, with every test picture's shape and with the mean shape."""
         fitted = fit_unit_cube(base[None])
         voxels = voxelize(fitted, faces, self._config.voxel_resolution)
-        points = sample_outer_surface(fitted, faces, voxels, self._config.surface_points, generator)
+        points = sample_outer_surface(fitted, faces, voxels, self._config.surface_points, rng)
         return {
             "voxel_iou": mean_figure(iou(voxels.expand_as(self.voxels), self.voxels)),
             "chamfer_l1": mean_figure(_chamfer_in_parts(points.expand_as(self.points), self.points)),
@@ -77,7 +75,7 @@ class TrueShapes:
 
 
 def silhouettes(
-    reconstruction: Reconstruction,
+    reconstruction: Snapshot,
     faces: Int[Tensor, "F 3"],
     directions: Float[Tensor, "V 3"],
     config: RendererConfig,

@@ -19,10 +19,10 @@ def mean_figure(values: Float[Tensor, " B"] | Bool[Tensor, " B"]) -> Figure:
     return {"value": values.double().mean().item(), "n": count, "standard_error": spread / count**0.5}
 
 
-def median_figure(values: Float[Tensor, " B"], generator: torch.Generator) -> Figure:
+def median_figure(values: Float[Tensor, " B"], rng: torch.Generator) -> Figure:
     """Summarize samples by their median, with the standard deviation of bootstrapped medians as standard error."""
     count = len(values)
-    draws = torch.randint(count, (BOOTSTRAP_DRAWS, count), generator=generator)
+    draws = torch.randint(count, (BOOTSTRAP_DRAWS, count), generator=rng)
     medians = values.double()[draws].quantile(0.5, dim=1)
     return {
         "value": values.double().quantile(0.5).item(),

@@ -55,11 +55,14 @@ class Checkpoint:
         return (tensors, json.loads(texts["values"])) if texts["key"] == self._key else None
 
 
-def restart_key(config: object, inputs: Sequence[Path], seed: int, device: torch.device, precision: torch.dtype) -> str:
+def restart_key(
+    config: object, inputs: Sequence[Path], seed: int | None, device: torch.device, precision: torch.dtype
+) -> str:
     """Hash what a training's state depends on.
 
-    That is the config, the seed, the kind of device (random generators differ), the precision, the bytes of the inputs,
-    which are files or directories, every Python file of the `pipeline` package, and PyTorch's version.
+    That is the config, the seed (None where nothing is drawn), the kind of device (random generators differ), the
+    precision, the bytes of the inputs, which are files or directories, every Python file of the `pipeline` package, and
+    PyTorch's version.
     """
     contents = [sha256(path) for path in [*inputs, *sorted(LIBRARY.rglob("*.py"))]]
     everything = [config, seed, device.type, precision, contents, torch.__version__]

@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from pipeline.evaluation.alignment import turn_pose, turn_vertices
-from pipeline.evaluation.artifacts import Reconstruction, Reconstructions, TrueObjects, Truth
-from pipeline.evaluation.evaluate import EvaluateConfig, Learned, evaluate_images, evaluate_truth
+from pipeline.evaluation.artifacts import Reconstructions, Snapshot, TrueObjects, Truth
+from pipeline.evaluation.evaluate import ChainResult, EvaluateConfig, evaluate_images, evaluate_truth
 from pipeline.evaluation.multiview import MultiviewConfig
-from pipeline.evaluation.shape_metrics import ShapeConfig, silhouettes
+from pipeline.evaluation.shape_metrics import ShapeMetricsConfig, silhouettes
 from pipeline.geometry.camera import CameraConfig, Pose
 from pipeline.geometry.icosphere import icosphere
 from pipeline.networks.feature_extractor import FeatureExtractor
@@ -19,7 +19,7 @@ COUNT = 12
 RENDERER = RendererConfig(camera=CameraConfig(distance=2.7, field_of_view=30.0), size=16, supersampling=2)
 CONFIG = EvaluateConfig(
     seed=0,
-    shape=ShapeConfig(voxel_resolution=16, surface_points=400),
+    shape=ShapeMetricsConfig(voxel_resolution=16, surface_points=400),
     chance_draws=36,
     batch_size=5,
     multiview=MultiviewConfig(objects=COUNT, step=50, elevation=10.0, ridge=0.1, examples=2),
@@ -38,9 +38,9 @@ def ellipsoids(count: int) -> torch.Tensor:
     return icosphere(2)[0].float() / 2 * sizes[:, None]
 
 
-def reconstruction(pose: Pose, vertices: torch.Tensor, shade: float) -> Reconstruction:
+def reconstruction(pose: Pose, vertices: torch.Tensor, shade: float) -> Snapshot:
     images = torch.full((COUNT, 3, 16, 16), shade)
-    return Reconstruction(pose, vertices, torch.zeros_like(images), images)
+    return Snapshot(pose, vertices, torch.zeros_like(images), images)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def truth() -> Truth:
 
 
 @pytest.fixture(scope="module")
-def learned(truth: Truth) -> Learned:
+def learned(truth: Truth) -> ChainResult:
     """Give the right answers in a frame turned by 90 degrees; before fine-tuning a third of the poses are flipped."""
     directions, faces = icosphere(2)
     assert truth.objects is not None
@@ -67,10 +67,10 @@ def learned(truth: Truth) -> Learned:
         torch.arange(COUNT),
     )
     base = vertices[COUNT // 2]
-    return Learned(reconstructions, pose, base, faces, RENDERER)
+    return ChainResult(reconstructions, pose, base, faces, RENDERER)
 
 
-def test_right_answers_in_a_turned_frame_score_full_marks(learned: Learned, truth: Truth) -> None:
+def test_right_answers_in_a_turned_frame_score_full_marks(learned: ChainResult, truth: Truth) -> None:
     figures, table = evaluate_truth(learned, truth, truth, CONFIG)
     assert math.isclose(figures["alignment"]["degrees"], 90)
     assert figures["pose"]["train"]["acc_pi6"] == figures["pose"]["test_tuned"]["acc_pi6"] == 1
@@ -83,7 +83,7 @@ def test_right_answers_in_a_turned_frame_score_full_marks(learned: Learned, trut
     assert table["rotation_error_predicted"].sort().values[-4:].tolist() == pytest.approx([180] * 4, abs=1e-3)
 
 
-def test_viewpoints_alone_are_measured_alike(learned: Learned, truth: Truth) -> None:
+def test_viewpoints_alone_are_measured_alike(learned: ChainResult, truth: Truth) -> None:
     figures, table = evaluate_truth(learned, truth, truth, CONFIG)
     viewpoints = truth._replace(objects=None)
     figures_of_viewpoints, table_of_viewpoints = evaluate_truth(learned, viewpoints, viewpoints, CONFIG)
@@ -92,18 +92,18 @@ def test_viewpoints_alone_are_measured_alike(learned: Learned, truth: Truth) -> 
     assert "voxel_iou_predicted" in table.keys() - table_of_viewpoints.keys()
 
 
-def test_every_figure_has_n_and_standard_error(learned: Learned, truth: Truth) -> None:
+def test_every_figure_has_n_and_standard_error(learned: ChainResult, truth: Truth) -> None:
     figures, table = evaluate_truth(learned, truth, truth, CONFIG)
     for rows in (figures["pose"].values(), figures["shape"]["test"].values(), [figures["shape"]["base"]["voxel_iou"]]):
         assert all(row["n"] == COUNT and row["standard_error"] >= 0 for row in rows)
     assert all(len(column) == COUNT for column in table.values())
 
 
-def test_same_seed_gives_the_same_figures(learned: Learned, truth: Truth) -> None:
+def test_same_seed_gives_the_same_figures(learned: ChainResult, truth: Truth) -> None:
     assert evaluate_truth(learned, truth, truth, CONFIG)[0] == evaluate_truth(learned, truth, truth, CONFIG)[0]
 
 
-def test_reconstruction_nearer_to_the_photograph_counts_as_improved(learned: Learned) -> None:
+def test_reconstruction_nearer_to_the_photograph_counts_as_improved(learned: ChainResult) -> None:
     with initialised(0, "extractor"):
         extractor = FeatureExtractor(WideResNet(10, 1, 2), 2.0)
     photographs = learned.reconstructions.tuned.images

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from pipeline.errors import DataError
-from pipeline.evaluation.artifacts import Reconstruction, Reconstructions
+from pipeline.evaluation.artifacts import Reconstructions, Snapshot
 from pipeline.evaluation.multiview import (
     MultiviewConfig,
     azimuth_figures,
@@ -84,7 +84,7 @@ def test_errors_know_that_angles_close_the_circle() -> None:
 def _reconstructions(model: FullModel) -> Reconstructions:
     pose = model.poses(model.poses.draw(3, generator(0)), model.base_vertices.expand(3, -1, -1))
     mesh, shades = base_mesh(), torch.linspace(0.2, 0.8, 3)[:, None, None, None]
-    one = Reconstruction(pose, mesh.vertices.expand(3, -1, -1), torch.zeros(3, 3, 32, 32), torch.zeros(3, 3, 32, 32))
+    one = Snapshot(pose, mesh.vertices.expand(3, -1, -1), torch.zeros(3, 3, 32, 32), torch.zeros(3, 3, 32, 32))
     return Reconstructions(one, one, shades.expand(-1, 3, 8, 8), mesh.faces, mesh.directions, torch.arange(3))
 
 

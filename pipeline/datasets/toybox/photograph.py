@@ -12,7 +12,7 @@ from pipeline.datasets.toybox.lighting import choose_lighting, shade_faces
 from pipeline.datasets.toybox.model import Specimens
 from pipeline.datasets.toybox.scenery import Footprint, Rays, paint_scenery
 from pipeline.datasets.toybox.surroundings import Setting, choose_places
-from pipeline.datasets.toybox.views import Viewpoints, choose_poses
+from pipeline.datasets.toybox.views import ViewRange, choose_poses
 from pipeline.datasets.truth import GroundTruth
 from pipeline.errors import ConfigError
 from pipeline.geometry.camera import CameraConfig, Pose, project, rotation_from_angles
@@ -43,7 +43,7 @@ class PhotographConfig:
 
 
 def photograph(
-    specimens: Specimens, viewpoints: Viewpoints, setting: Setting, config: PhotographConfig, rng: np.random.Generator
+    specimens: Specimens, viewpoints: ViewRange, setting: Setting, config: PhotographConfig, rng: np.random.Generator
 ) -> tuple[UInt8[np.ndarray, "B H W 3"], GroundTruth]:
     """Photograph every specimen once, each in its own light and place."""
     vertices = fit_unit_cube(torch.from_numpy(specimens.solid.vertices).float())

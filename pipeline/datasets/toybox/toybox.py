@@ -16,7 +16,7 @@ from pipeline.datasets.toybox.horse import build_horses
 from pipeline.datasets.toybox.model import Specimens
 from pipeline.datasets.toybox.photograph import PhotographConfig, photograph
 from pipeline.datasets.toybox.surroundings import Setting
-from pipeline.datasets.toybox.views import Viewpoints
+from pipeline.datasets.toybox.views import ViewRange
 from pipeline.datasets.truth import GroundTruth, concatenate
 from pipeline.seeding import numpy_generator
 
@@ -27,17 +27,17 @@ class Category(NamedTuple):
     """How the objects of one category are built and seen."""
 
     build: Callable[[int, np.random.Generator], Specimens]
-    viewpoints: Viewpoints
+    viewpoints: ViewRange
     setting: Setting
 
 
 CATEGORIES = {
     "aeroplane": Category(
-        build_aeroplanes, Viewpoints((-60, 60), side_views=True, roll=8, fill=0.9), Setting(0.08, 0.0, 0.5)
+        build_aeroplanes, ViewRange((-60, 60), side_views=True, roll=8, fill=0.9), Setting(0.08, 0.0, 0.5)
     ),
-    "car": Category(build_cars, Viewpoints((0, 30), side_views=False, roll=2, fill=0.97), Setting(0.13, 0.0, 0.0)),
-    "chair": Category(build_chairs, Viewpoints((0, 30), side_views=False, roll=2, fill=0.9), Setting(0.2, 0.6, 0.0)),
-    "horse": Category(build_horses, Viewpoints((-10, 10), side_views=True, roll=2, fill=0.93), Setting(0.06, 0.0, 0.0)),
+    "car": Category(build_cars, ViewRange((0, 30), side_views=False, roll=2, fill=0.97), Setting(0.13, 0.0, 0.0)),
+    "chair": Category(build_chairs, ViewRange((0, 30), side_views=False, roll=2, fill=0.9), Setting(0.2, 0.6, 0.0)),
+    "horse": Category(build_horses, ViewRange((-10, 10), side_views=True, roll=2, fill=0.93), Setting(0.06, 0.0, 0.0)),
 }
 
 

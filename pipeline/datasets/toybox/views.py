@@ -10,7 +10,7 @@ from torch import Tensor
 from pipeline.geometry.camera import CameraConfig, Pose, place_in_picture
 
 
-class Viewpoints(NamedTuple):
+class ViewRange(NamedTuple):
     """The distribution of viewpoints of one category (paper, appendix, Table 3); angles in degrees."""
 
     elevation: tuple[float, float]
@@ -24,7 +24,7 @@ class Viewpoints(NamedTuple):
 
 
 def choose_poses(
-    viewpoints: Viewpoints, vertices: Float[Tensor, "B V 3"], camera: CameraConfig, rng: np.random.Generator
+    viewpoints: ViewRange, vertices: Float[Tensor, "B V 3"], camera: CameraConfig, rng: np.random.Generator
 ) -> Pose:
     """Draw viewpoints, and frame the objects as people crop photographs.
 
