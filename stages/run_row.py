@@ -68,7 +68,7 @@ def turn_on(path: Path, options: Namespace) -> str:
     if dataset == EMBEDDED:
         _require_embedded(category, options.source)
     sections = ("learn_base_shape", f"rows.{options.row}.learn_base_shape", f"sizes.{options.size}.learn_base_shape")
-    _turn_on_dataset(document, dataset, options.source, load(path, BaseShapeConfig, sections).renderer.size)
+    _turn_on_dataset(document, dataset, options.source, load(path, BaseShapeConfig, sections))
     features = f"{dataset}-{options.size}"
     _turn_on_features(document, features, {"dataset": dataset, "size": options.size, "seed": 0}, options.features)
     own = (dataset, category) != (row["dataset"], row["category"])
@@ -129,7 +129,7 @@ def _put(entries: CommentedMap, name: str, entry: dict[str, Any]) -> None:
         entries.insert(0, name, entry)
 
 
-def _turn_on_dataset(document: CommentedMap, name: str, source: Path | None, size: int) -> None:
+def _turn_on_dataset(document: CommentedMap, name: str, source: Path | None, config: BaseShapeConfig) -> None:
     datasets = document["datasets"]
     is_new, entry = name not in datasets, dict(datasets.get(name, {}))
     if source is not None:
@@ -137,12 +137,12 @@ def _turn_on_dataset(document: CommentedMap, name: str, source: Path | None, siz
         entry |= {"kind": _kind(source), "source": str(source)}
     elif is_new:
         raise ConfigError(f"no photographs of '{name}' yet; name their folder or archive with SOURCE=")
-    kind = entry["kind"]
+    kind, size = entry["kind"], config.renderer.size
     settings = {**document["prepare_data"][kind], **entry.get(kind, {})}
-    if is_new and settings.get("size", size) != size:
-        settings["size"] = size
-        entry[kind] = {"size": size}
-    found = _picture_size(kind, settings)
+    wanted = {"size": size} | ({"fit": "pad"} if config.framing == "box" else {})
+    if own := {key: value for key, value in wanted.items() if is_new and settings.get(key, value) != value}:
+        entry[kind] = own
+    found = _picture_size(kind, settings | own)
     if found != size:
         raise ConfigError(
             f"pictures of '{name}' are {found} px, but this run compares {size} px; name a second dataset with "

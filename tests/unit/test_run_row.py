@@ -78,12 +78,23 @@ def test_a_given_network_gets_pictures_of_the_size_it_needs(params: Path, tmp_pa
     assert turn_on(params, _options("pascal-car", size="laptop-imagenet", **given)) == "cars-car-laptop-imagenet"
     before = params.read_bytes()
     document = YAML(typ="safe").load(params)
-    assert document["datasets"]["cars"] == {"kind": "folder", "source": str(tmp_path), "folder": {"size": 64}}
+    assert document["datasets"]["cars"] == {
+        "kind": "folder",
+        "source": str(tmp_path),
+        "folder": {"size": 64, "fit": "pad"},
+    }
     assert document["features"]["cars-laptop-imagenet"]["weights"] == str(weights)
     for source in (tmp_path, None):
         with pytest.raises(ConfigError, match="pictures of 'cars' are 64 px, but this run compares 32 px"):
             turn_on(params, _options("pascal-car", dataset="cars", category="car", source=source))
     assert params.read_bytes() == before
+
+
+@pytest.mark.parametrize(("row", "own"), [("pascal-car", {"folder": {"fit": "pad"}}), ("cifar10-automobile", {})])
+def test_photographs_cut_to_boxes_stay_whole(params: Path, tmp_path: Path, row: str, own: dict[str, object]) -> None:
+    turn_on(params, _options(row, dataset="cars", category="car", source=tmp_path))
+    expected = {"kind": "folder", "source": str(tmp_path), **own}
+    assert YAML(typ="safe").load(params)["datasets"]["cars"] == expected
 
 
 def test_names_say_what_is_unusual(params: Path, tmp_path: Path) -> None:
