@@ -89,6 +89,7 @@ CONSISTENCY = {
     "identity drift": "multiview.identity_drift",
     "drift of different objects": "multiview.chance.identity_drift",
 }
+CONFUSED = ("toybox-car", "toybox-horse", "toybox-aeroplane", "toybox-chair", "stanford-car", "stanford-car-no-ends")
 TABLES: dict[str, Table | Confusion] = {
     "viewpoints": Table(
         "",
@@ -187,9 +188,7 @@ TABLES: dict[str, Table | Confusion] = {
             "fine-tuned distance": "reconstruction.tuned.feature_distance",
         },
     ),
-    "sides-toybox-car": Confusion("toybox-car", "azimuth_tuned"),
-    "sides-stanford-car": Confusion("stanford-car", "azimuth_tuned"),
-    "sides-stanford-car-no-ends": Confusion("stanford-car-no-ends", "azimuth_tuned"),
+    **{f"sides-{name}": Confusion(name, "azimuth_tuned") for name in CONFUSED},
 }
 
 
