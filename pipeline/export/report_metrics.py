@@ -57,8 +57,8 @@ def pose_section(figures: Mapping[str, Any], rows: Mapping[str, list[str]]) -> l
         f"{figures['alignment']['degrees']:.0f} degrees to fit the true poses of the training split. Chance guesses "
         "the azimuth; the constant is the one pose that suits the training split best. Wrong poses are flipped where a "
         "half turn mends them, mirrored where they fit the mirrored picture, front back where they fit with front and "
-        "back exchanged. The seen side is which of front, left, rear and right faces the camera; front or side asks only "
-        "whether that is an end or a flank."
+        "back exchanged. The seen side is which of front, left, rear and right faces the camera; front or side asks "
+        "only whether that is an end or a flank."
     )
     body = grid("charts", charts) + pose_table(figures["pose"])
     if "shape" in figures:
