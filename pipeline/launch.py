@@ -41,7 +41,7 @@ def share_work(processes: object, device: torch.device, function: Callable[..., 
     elif number == 1:
         function(*arguments)
     else:
-        with TemporaryDirectory() as folder, _divided_threads(number):
+        with TemporaryDirectory() as folder, divided_threads(number):
             _start(number, device, f"file://{Path(folder) / 'meeting'}", function, arguments)
 
 
@@ -117,7 +117,7 @@ def _work(
 
 
 @contextmanager
-def _divided_threads(processes: int) -> Iterator[None]:
+def divided_threads(processes: int) -> Iterator[None]:
     """Let the processes started inside the block have equal parts of this one's threads."""
     threads = str(max(1, torch.get_num_threads() // processes))
     before = dict(os.environ)

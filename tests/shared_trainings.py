@@ -1,5 +1,6 @@
 """What the tests of shared trainings run in every process: a few steps of each training, on tiny models."""
 
+import json
 import os
 import signal
 from dataclasses import replace
@@ -8,7 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from pipeline.distributed import is_first, world
+from pipeline.distributed import divide, is_first, world
 from pipeline.files import save_tensors
 from pipeline.networks.scene_generator import scene_tensors
 from pipeline.training.base_shape import SeedTrainer, build_sphere, learn_base_shape
@@ -44,6 +45,13 @@ def learn_seeds(folder: Path) -> None:
     if is_first():
         tensors = {"vertices": shapes.vertices, "scores": shapes.scores, **scene_tensors(shapes.generators)}
         save_tensors(folder / "seeds.safetensors", tensors, {"curve": str(shapes.curve.rows)})
+
+
+def count_workers(path: Path, most: int) -> None:
+    """Divide up to `most` numbers; the first process writes them with how many processes worked on each."""
+    found = [divide(lambda number: [number, world().size], count) for count in range(1, most + 1)]
+    if is_first():
+        path.write_text(json.dumps(found))
 
 
 def train(folder: Path, dying: int | None) -> None:

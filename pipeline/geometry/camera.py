@@ -71,12 +71,13 @@ def project(vertices_world: Float[Tensor, "B V 3"], pose: Pose, camera: CameraCo
     as if they lay there, so that every value is finite. Gradients flow to the vertices and to the pose.
     """
     rotation = rotation_from_angles(pose.azimuth, pose.elevation, pose.roll)
-    vertices_camera = vertices_world @ rotation.transpose(1, 2)
-    depth = camera.distance - vertices_camera[..., 2:]
+    # One row a coordinate: rows are contiguous in memory, where columns of three are not.
+    rows_camera = rotation @ vertices_world.transpose(1, 2)
+    depth = camera.distance - rows_camera[:, 2:]
     focal_length = 1 / tan(radians(camera.field_of_view) / 2)
-    xy_ndc = focal_length * vertices_camera[..., :2] / depth.clamp(min=NEAREST_DEPTH)
-    xy_ndc = pose.scale[:, None, None] * xy_ndc + pose.center[:, None]
-    return torch.cat((xy_ndc, depth), dim=-1)
+    xy_ndc = focal_length * rows_camera[:, :2] / depth.clamp(min=NEAREST_DEPTH)
+    xy_ndc = pose.scale[:, None, None] * xy_ndc + pose.center[:, :, None]
+    return torch.cat((xy_ndc, depth), dim=1).transpose(1, 2)
 
 
 def place_in_picture(

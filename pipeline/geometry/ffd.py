@@ -28,4 +28,7 @@ def deform(
     `offsets` are world units from the regular grid; zero offsets return `vertices` to the last bit. Gradients flow to
     `offsets`.
     """
-    return vertices + weights @ offsets
+    # All shapes in one matrix product, many times as fast as one of three columns for each. Coordinates stay apart in
+    # memory, which does the same for the shapes' extents.
+    moved = offsets.transpose(1, 2).reshape(-1, CONTROL_POINTS) @ weights.T
+    return moved.unflatten(0, (-1, 3)).transpose(1, 2) + vertices

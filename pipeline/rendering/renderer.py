@@ -1,12 +1,12 @@
 """The differentiable renderer: mesh, texture, pose, light and background to picture."""
 
 from dataclasses import dataclass
+from functools import reduce
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.nn.functional import avg_pool2d
 
 from pipeline.geometry.camera import CameraConfig, Pose, project
 from pipeline.rendering.antialias import antialias
@@ -69,8 +69,14 @@ def render(
         colors = colors * interpolate(reflected, mesh.faces, fragments).permute(0, 3, 1, 2)
     covered = (fragments.face_index >= 0).to(colors.dtype)[:, None]
     layers = antialias(torch.cat((colors, covered), dim=1), fragments, vertices_ndc, mesh.faces)
-    layers = avg_pool2d(layers, config.supersampling)
+    layers = _pool(layers, config.supersampling)
     images, silhouettes = layers[:, :3], layers[:, 3]
     if backgrounds is not None:
         images = images + (1 - silhouettes)[:, None] * backgrounds
     return Rendering(images, silhouettes)
+
+
+def _pool(layers: Float[Tensor, "B C H W"], factor: int) -> Float[Tensor, "B C H2 W2"]:
+    """Average squares of samples; several times as fast on a CPU as PyTorch's pooling."""
+    rows = reduce(torch.add, (layers[:, :, first::factor] for first in range(factor)))
+    return reduce(torch.add, (rows[..., first::factor] for first in range(factor))) / factor**2

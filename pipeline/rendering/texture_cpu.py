@@ -4,7 +4,7 @@ from math import floor, pi, sqrt
 from typing import no_type_check
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from pipeline.rendering.compiled import njit, prange
 
@@ -32,13 +32,40 @@ def arctangent(y: float, x: float) -> float:
 
 @njit()
 @no_type_check
-def texels(x: float, y: float, z: float, size: int) -> tuple[int, int, int, int, float, float]:
-    """Return the two rows, the two columns and the fractions between them that a direction falls on."""
-    u = 0.5 + arctangent(x, z) / (2.0 * pi)
-    v = 0.5 - arctangent(y, sqrt(x * x + z * z)) / pi
-    column = u * size - 0.5
-    row = min(max(v * size - 0.5, 0.0), size - 1.0)
-    first, top = floor(column), min(int(row), size - 2)
+def covered(
+    directions: Float[np.ndarray, "P 3"],
+) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"], Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+    """Return which pixels have a direction, and the directions' components."""
+    count, pixels, rows = 0, np.zeros(len(directions), np.int32), np.zeros((3, len(directions)), directions.dtype)
+    xs, ys, zs = rows[0], rows[1], rows[2]  # unpacked, they would not be known to be contiguous
+    for pixel in range(len(directions)):
+        x, y, z = directions[pixel]
+        # Always written, and kept by counting it: a branch would be mispredicted at every outline.
+        pixels[count], xs[count], ys[count], zs[count] = pixel, x, y, z
+        count += (x != 0.0) | (y != 0.0) | (z != 0.0)
+    return pixels[:count], xs[:count], ys[:count], zs[:count]
+
+
+@njit()
+@no_type_check
+def texel_coordinates(
+    x: Float[np.ndarray, " N"], y: Float[np.ndarray, " N"], z: Float[np.ndarray, " N"], size: int
+) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+    """Return the rows and columns that directions fall on, 0 at the centre of the first; all at once, as vectors."""
+    rows, columns = np.zeros(len(x)), np.zeros(len(x))
+    for i in range(len(x)):
+        u = 0.5 + arctangent(x[i], z[i]) / (2.0 * pi)
+        v = 0.5 - arctangent(y[i], sqrt(x[i] * x[i] + z[i] * z[i])) / pi
+        rows[i] = min(max(v * size - 0.5, 0.0), size - 1.0)
+        columns[i] = u * size - 0.5
+    return rows, columns
+
+
+@njit()
+@no_type_check
+def texels(row: float, column: float, size: int) -> tuple[int, int, int, int, float, float]:
+    """Return the two rows, the two columns and the fractions between them of a place in the map."""
+    top, first = min(int(row), size - 2), floor(column)
     left = first + size if first < 0 else first
     right = 0 if left + 1 == size else left + 1
     return top, top + 1, left, right, row - top, column - first
@@ -50,20 +77,20 @@ def sample(
     texture_maps: Float[np.ndarray, "B 3 T T"], directions: Float[np.ndarray, "B H W 3"]
 ) -> Float[np.ndarray, "B 3 H W"]:
     """Return bilinear look-ups along directions, 0 for the zero direction."""
-    batch, size = directions.shape[:2]
-    colors = np.zeros((batch, 3, size, size), texture_maps.dtype)
+    batch, size, texture_size = len(directions), directions.shape[1], texture_maps.shape[2]
+    colors = np.zeros((batch, 3, size * size), texture_maps.dtype)
     for picture in prange(batch):
-        for i in range(size):
-            for j in range(size):
-                x, y, z = directions[picture, i, j]
-                if x != 0.0 or y != 0.0 or z != 0.0:
-                    top, bottom, left, right, down, across = texels(x, y, z, texture_maps.shape[2])
-                    for channel in range(3):
-                        texture = texture_maps[picture, channel]
-                        upper = texture[top, left] + across * (texture[top, right] - texture[top, left])
-                        lower = texture[bottom, left] + across * (texture[bottom, right] - texture[bottom, left])
-                        colors[picture, channel, i, j] = upper + down * (lower - upper)
-    return colors
+        pixels, x, y, z = covered(directions[picture].reshape(-1, 3))
+        rows, columns = texel_coordinates(x, y, z, texture_size)
+        for i in range(len(pixels)):
+            top, bottom, left, right, down, across = texels(rows[i], columns[i], texture_size)
+            for channel in range(3):
+                texture = texture_maps[picture, channel]
+                upper_left, lower_left = texture[top, left], texture[bottom, left]
+                upper = upper_left + across * (texture[top, right] - upper_left)
+                lower = lower_left + across * (texture[bottom, right] - lower_left)
+                colors[picture, channel, pixels[i]] = upper + down * (lower - upper)
+    return colors.reshape(batch, 3, size, size)
 
 
 @njit(parallel=True)
@@ -74,41 +101,37 @@ def sample_backward(
     gradient: Float[np.ndarray, "B 3 H W"],
 ) -> tuple[Float[np.ndarray, "B 3 T T"], Float[np.ndarray, "B H W 3"]]:
     """Return the gradients with respect to texture maps and directions."""
-    batch, size = directions.shape[:2]
+    batch, size, texture_size = len(directions), directions.shape[1], texture_maps.shape[2]
     map_gradient = np.zeros_like(texture_maps)
-    direction_gradient = np.zeros_like(directions)
-    texture_size = texture_maps.shape[2]
+    direction_gradient = np.zeros((batch, size * size, 3), directions.dtype)
     for picture in prange(batch):
-        for i in range(size):
-            for j in range(size):
-                x, y, z = directions[picture, i, j]
-                if x != 0.0 or y != 0.0 or z != 0.0:
-                    top, bottom, left, right, down, across = texels(x, y, z, texture_size)
-                    slope_across, slope_down = 0.0, 0.0
-                    for channel in range(3):
-                        upstream = gradient[picture, channel, i, j]
-                        texture, total = texture_maps[picture, channel], map_gradient[picture, channel]
-                        total[top, left] += upstream * (1.0 - down) * (1.0 - across)
-                        total[top, right] += upstream * (1.0 - down) * across
-                        total[bottom, left] += upstream * down * (1.0 - across)
-                        total[bottom, right] += upstream * down * across
-                        upper, lower = (
-                            texture[top, right] - texture[top, left],
-                            texture[bottom, right] - texture[bottom, left],
-                        )
-                        slope_across += upstream * (upper + down * (lower - upper))
-                        left_step, right_step = (
-                            texture[bottom, left] - texture[top, left],
-                            texture[bottom, right] - texture[top, right],
-                        )
-                        slope_down += upstream * (left_step + across * (right_step - left_step))
-                    if down == 0.0 or down == 1.0:
-                        slope_down = 0.0
-                    square = x * x + z * z + 1e-12
-                    level = sqrt(square)
-                    slope_around = slope_across * texture_size / (2.0 * pi * square)
-                    slope_upward = -slope_down * texture_size / (pi * (square + y * y))
-                    direction_gradient[picture, i, j, 0] = slope_around * z - slope_upward * y * x / level
-                    direction_gradient[picture, i, j, 1] = slope_upward * level
-                    direction_gradient[picture, i, j, 2] = -slope_around * x - slope_upward * y * z / level
-    return map_gradient, direction_gradient
+        pixels, xs, ys, zs = covered(directions[picture].reshape(-1, 3))
+        rows, columns = texel_coordinates(xs, ys, zs, texture_size)
+        upstreams = gradient[picture].reshape(3, -1)
+        for i in range(len(pixels)):
+            top, bottom, left, right, down, across = texels(rows[i], columns[i], texture_size)
+            slope_across, slope_down = 0.0, 0.0
+            for channel in range(3):
+                upstream = upstreams[channel, pixels[i]]
+                texture, total = texture_maps[picture, channel], map_gradient[picture, channel]
+                total[top, left] += upstream * (1.0 - down) * (1.0 - across)
+                total[top, right] += upstream * (1.0 - down) * across
+                total[bottom, left] += upstream * down * (1.0 - across)
+                total[bottom, right] += upstream * down * across
+                upper = texture[top, right] - texture[top, left]
+                lower = texture[bottom, right] - texture[bottom, left]
+                slope_across += upstream * (upper + down * (lower - upper))
+                left_step = texture[bottom, left] - texture[top, left]
+                right_step = texture[bottom, right] - texture[top, right]
+                slope_down += upstream * (left_step + across * (right_step - left_step))
+            if down == 0.0 or down == 1.0:
+                slope_down = 0.0
+            x, y, z = xs[i], ys[i], zs[i]
+            square = x * x + z * z + 1e-12
+            level = sqrt(square)
+            slope_around = slope_across * texture_size / (2.0 * pi * square)
+            slope_upward = -slope_down * texture_size / (pi * (square + y * y))
+            direction_gradient[picture, pixels[i], 0] = slope_around * z - slope_upward * y * x / level
+            direction_gradient[picture, pixels[i], 1] = slope_upward * level
+            direction_gradient[picture, pixels[i], 2] = -slope_around * x - slope_upward * y * z / level
+    return map_gradient, direction_gradient.reshape(directions.shape)

@@ -20,6 +20,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
+from pipeline.distributed import divide
 from pipeline.networks.feature_extractor import FeatureExtractor
 
 AZIMUTHS = 72
@@ -170,12 +171,12 @@ def paintless_features(
     rng: torch.Generator,
 ) -> Float[Tensor, "2 N components"]:
     """Return features of photographs and of their mirror images, whitened by how much repainting changes them."""
-    features = torch.stack([_flat_features(images, extractor), _flat_features(images.flip(-1), extractor)])
+    features = torch.stack(_flat_features([images, images.flip(-1)], extractor))
     components = min(components, len(images) // 2)
     features -= features.mean(dim=(0, 1))
     basis = _principal_directions(features.flatten(0, 1), components, rng)
-    change = _flat_features(repaint(images, rng), extractor) - _flat_features(repaint(images, rng), extractor)
-    change = change @ basis
+    first, second = _flat_features([repaint(images, rng), repaint(images, rng)], extractor)
+    change = (first - second) @ basis
     covariance = change.T @ change / (2 * len(change))
     floor = repainting_floor * covariance.trace() / components
     values, vectors = torch.linalg.eigh(covariance + floor * torch.eye(components, device=images.device))
@@ -248,14 +249,21 @@ def _opposite(values: Float[Tensor, "... azimuths"]) -> Float[Tensor, "... azimu
     return values.roll(values.shape[-1] // 2, -1)
 
 
-def _flat_features(images: Float[Tensor, "N 3 H W"], extractor: FeatureExtractor) -> Float[Tensor, "N D"]:
-    """Return directions of all feature maps but the first, averaged over a grid: colours and edges are paint."""
-    flat = []
-    for batch in images.split(250):
-        maps = [functional.normalize(layer.float(), dim=1) for layer in extractor(batch)[2:]]
-        grids = [functional.adaptive_avg_pool2d(layer, min(_MAP_SIZE, layer.shape[-1])) for layer in maps]
-        flat.append(torch.cat([grid.flatten(1) for grid in grids], 1))
-    return torch.cat(flat)
+def _flat_features(pictures: list[Float[Tensor, "N 3 H W"]], extractor: FeatureExtractor) -> list[Float[Tensor, "N D"]]:
+    """Return directions of all feature maps but the first, averaged over a grid: colours and edges are paint.
+
+    Processes divide the sets of pictures.
+    """
+
+    def describe(index: int) -> Float[Tensor, "N D"]:
+        flat = []
+        for batch in pictures[index].split(250):
+            maps = [functional.normalize(layer.float(), dim=1) for layer in extractor(batch)[2:]]
+            grids = [functional.adaptive_avg_pool2d(layer, min(_MAP_SIZE, layer.shape[-1])) for layer in maps]
+            flat.append(torch.cat([grid.flatten(1) for grid in grids], 1))
+        return torch.cat(flat).cpu()
+
+    return [features.to(pictures[0].device) for features in divide(describe, len(pictures))]
 
 
 def _principal_directions(

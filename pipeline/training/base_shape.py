@@ -217,9 +217,9 @@ def learn_base_shape(
 ) -> BaseShapes:
     """Learn one base shape a seed and pick the one whose renderings are closest to the photographs.
 
-    Photographs and their kept features may take `memory` bytes. Processes take the seeds in turn, each working alone,
-    so that their number changes no shape; a single seed's batches are shared. Restart states live under `checkpoints`;
-    a killed call that is repeated returns the same bytes.
+    Photographs and their kept features may take `memory` bytes. Processes take the seeds in turn, each working alone;
+    they share the batches of a single seed that is left over. Restart states live under `checkpoints`; a killed call
+    that is repeated returns the same bytes.
     """
     sphere = build_sphere(config.subdivisions, next(extractor.parameters()).device)
     photographs = Photographs(images, extractor, config.batch_size, memory)

@@ -16,7 +16,7 @@ from torch.nn import functional
 from tqdm import tqdm
 
 from pipeline.datasets.images import Images
-from pipeline.distributed import divide, silent
+from pipeline.distributed import divide, silent, world
 from pipeline.losses.image_distance import Features, pairwise_feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel
@@ -78,10 +78,13 @@ def first_poses(
 
     described = _describe(cuts, extractor)
 
-    def votes_of(index: int) -> Float[Tensor, "N K"]:
-        return count_votes(_distances(described, _describe(rendered[index], extractor)), config.temperature).cpu()
+    parts = [part for images in rendered for part in images.chunk(world().size)]
 
-    votes = [vote.to(cuts.device) for vote in divide(votes_of, len(rendered))]
+    def distances(index: int) -> Float[Tensor, "N K"]:
+        return _distances(described, _describe(parts[index], extractor)).cpu()
+
+    joined = torch.cat([part.to(cuts.device) for part in divide(distances, len(parts))], dim=1)
+    votes = [count_votes(one, config.temperature) for one in joined.chunk(len(rendered), dim=1)]
     by_azimuth = join_votes(torch.stack([((vote @ kernel) / kernel.sum(dim=0)).log() for vote in votes]))
     winner = agree_on_azimuths(by_azimuth, cuts, extractor, config.consensus, rng).argmax(dim=1)
     near = votes[0] * kernel.T[winner]

@@ -1,10 +1,14 @@
 """The embedded toybox: random photographs of cars, chairs, aeroplanes and horses, with their ground truth."""
 
+import multiprocessing
 from collections.abc import Callable
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+import torch
 from jaxtyping import UInt8
 from tqdm import tqdm
 
@@ -18,9 +22,12 @@ from pipeline.datasets.toybox.photograph import PhotographConfig, photograph
 from pipeline.datasets.toybox.surroundings import Setting
 from pipeline.datasets.toybox.views import ViewRange
 from pipeline.datasets.truth import GroundTruth, concatenate
+from pipeline.launch import divided_threads
 from pipeline.seeding import numpy_generator
 
 CHUNK = 32
+_CHUNKS_WORTH_A_PROCESS = 32
+"""Fewer are taken in less time than another process needs to start."""
 
 
 class Category(NamedTuple):
@@ -58,28 +65,58 @@ class ToyboxConfig:
     photograph: PhotographConfig
 
 
+class Chunk(NamedTuple):
+    """Photographs that are taken with a random stream of their own, so that a larger split begins with a smaller."""
+
+    split: str
+    category: str
+    start: int
+
+
+Taken = tuple[UInt8[np.ndarray, "_ H W 3"], GroundTruth]
+
+
 def make_toybox(config: ToyboxConfig) -> Dataset:
-    """Photograph every category. The same seed gives the same bytes on the same machine."""
+    """Photograph every category, by as many processes as there are threads; their number changes no byte.
+
+    The same seed gives the same bytes on the same machine.
+    """
     counts = {"train": config.train_count, "test": config.test_count}
+    chunks = [
+        Chunk(split, category, start)
+        for split, count in counts.items()
+        for category in CATEGORIES
+        for start in range(0, count, CHUNK)
+    ]
+    taken = dict(zip(chunks, _photograph_all(config, chunks), strict=True))
     images = {split: {} for split in counts}
     truth = {split: {} for split in counts}
     for split, count in counts.items():
-        for category in tqdm(CATEGORIES, desc=f"toybox {split}", disable=None):
-            images[split][category], truth[split][category] = _photograph_category(config, split, category, count)
+        for category in CATEGORIES:
+            parts = [part for chunk, part in taken.items() if chunk[:2] == (split, category)]
+            images[split][category], truth[split][category] = _join(parts, count)
     return Dataset(images, truth)
 
 
-def _photograph_category(
-    config: ToyboxConfig, split: str, category: str, count: int
-) -> tuple[UInt8[np.ndarray, "_ H W 3"], GroundTruth]:
-    """Photograph chunk by chunk, each with a stream of its own, so that a larger split begins with the smaller one."""
-    build, viewpoints, setting = CATEGORIES[category]
-    images, truths = [], []
-    for start in range(0, count, CHUNK):
-        rng = numpy_generator(config.seed, "toybox", split, category, start)
-        taken, truth = photograph(build(CHUNK, rng), viewpoints, setting, config.photograph, rng)
-        images.append(taken)
-        truths.append(truth)
-    joined = concatenate(truths)
+def _photograph_all(config: ToyboxConfig, chunks: list[Chunk]) -> list[Taken]:
+    take = partial(_photograph_chunk, config)
+    progress = partial(tqdm, desc="toybox", total=len(chunks), disable=None)
+    processes = min(torch.get_num_threads(), len(chunks) // _CHUNKS_WORTH_A_PROCESS)
+    if processes < 2:
+        return [take(chunk) for chunk in progress(chunks)]
+    context = multiprocessing.get_context("spawn")
+    with divided_threads(processes), ProcessPoolExecutor(processes, context) as pool:
+        return list(progress(pool.map(take, chunks)))
+
+
+def _photograph_chunk(config: ToyboxConfig, chunk: Chunk) -> Taken:
+    build, viewpoints, setting = CATEGORIES[chunk.category]
+    rng = numpy_generator(config.seed, "toybox", *chunk)
+    return photograph(build(CHUNK, rng), viewpoints, setting, config.photograph, rng)
+
+
+def _join(parts: list[Taken], count: int) -> Taken:
+    """Put chunks together and keep the first `count` photographs."""
+    joined = concatenate([truth for _, truth in parts])
     kept = {name: values[:count] for name, values in joined._asdict().items()} | {"faces": joined.faces}
-    return np.concatenate(images)[:count], GroundTruth(**kept)
+    return np.concatenate([images for images, _ in parts])[:count], GroundTruth(**kept)
