@@ -125,19 +125,21 @@ def from_first(value: Value) -> Value:
 def divide(function: Callable[[int], Value], count: int) -> list[Value]:
     """Return what a function gives for every number below `count`; tensors in it must be on the CPU.
 
-    Processes take the numbers in turn and each works alone, so that the results are those of a single process. On a
-    single number that is left over, while the others would wait, they all work together.
+    Processes take the numbers in turn and each works alone, so that the results are those of a single process. They
+    wait for each other before they take the next. On one number alone they all work together.
     """
     rank, size = world()
-    together = range(count - 1, count) if size > 1 and count % size == 1 else range(count, count)
-    with _alone():
-        own = {number: function(number) for number in range(rank, together.start, size)}
-    found: list[Any] = [own]
-    if size > 1:
-        found = [None] * size
+    if size == 1 or count == 1:
+        return [function(number) for number in range(count)]
+    results: dict[int, Value] = {}
+    for first in range(0, count, size):
+        number = first + rank
+        with _alone():
+            own = {number: function(number)} if number < count else {}
+        found: list[Any] = [None] * size
         dist.all_gather_object(found, own)
-    results = {number: result for part in found for number, result in part.items()}
-    return [results[number] for number in range(together.start)] + [function(number) for number in together]
+        results |= {number: result for part in found for number, result in part.items()}
+    return [results[number] for number in range(count)]
 
 
 @contextmanager

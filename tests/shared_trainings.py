@@ -5,11 +5,12 @@ import os
 import signal
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import patch
 
 import torch
 from torch import Tensor, nn
 
-from pipeline.distributed import divide, is_first, world
+from pipeline.distributed import is_first, world
 from pipeline.files import save_tensors
 from pipeline.networks.scene_generator import scene_tensors
 from pipeline.training.base_shape import SeedTrainer, build_sphere, learn_base_shape
@@ -39,19 +40,22 @@ def take_steps(folder: Path) -> None:
 
 
 def learn_seeds(folder: Path) -> None:
-    """Learn base shapes from three seeds; the first process writes them."""
+    """Learn base shapes from three seeds; the first process writes them, and each how many steps it took."""
+    steps = 0
+    step = SeedTrainer.step
+
+    def counted(self: SeedTrainer, iteration: int) -> dict[str, Tensor]:
+        nonlocal steps
+        steps += 1
+        return step(self, iteration)
+
     images, _ = photographs(8)
-    shapes = learn_base_shape(SEEDS, images[:, :, ::2, ::2], MEMORY, tiny_extractor(), 0, folder / "seeds", "key")
+    with patch.object(SeedTrainer, "step", counted):
+        shapes = learn_base_shape(SEEDS, images[:, :, ::2, ::2], MEMORY, tiny_extractor(), 0, folder / "seeds", "key")
+    (folder / f"{world().rank}.steps.json").write_text(json.dumps(steps))
     if is_first():
         tensors = {"vertices": shapes.vertices, "scores": shapes.scores, **scene_tensors(shapes.generators)}
         save_tensors(folder / "seeds.safetensors", tensors, {"curve": str(shapes.curve.rows)})
-
-
-def count_workers(path: Path, most: int) -> None:
-    """Divide up to `most` numbers; the first process writes them with how many processes worked on each."""
-    found = [divide(lambda number: [number, world().size], count) for count in range(1, most + 1)]
-    if is_first():
-        path.write_text(json.dumps(found))
 
 
 def train(folder: Path, dying: int | None) -> None:

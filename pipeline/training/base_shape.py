@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from pipeline.datasets.images import Images
-from pipeline.distributed import agree, average, divide, share, whole
+from pipeline.distributed import agree, average, divide, share, whole, world
 from pipeline.geometry.camera import fill_picture
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
@@ -217,21 +217,30 @@ def learn_base_shape(
 ) -> BaseShapes:
     """Learn one base shape a seed and pick the one whose renderings are closest to the photographs.
 
-    Photographs and their kept features may take `memory` bytes. Processes take the seeds in turn, each working alone;
-    they share the batches of a single seed that is left over. Restart states live under `checkpoints`; a killed call
-    that is repeated returns the same bytes.
+    Photographs and their kept features may take `memory` bytes. Processes divide the seeds, each working alone, so that
+    their number changes no shape; a single seed's batches are shared. Restart states live under `checkpoints`; a killed
+    call that is repeated returns the same bytes.
     """
     sphere = build_sphere(config.subdivisions, next(extractor.parameters()).device)
     photographs = Photographs(images, extractor, config.batch_size, memory)
     schedule = Schedule(config.iterations, config.curve_every, config.checkpoint_every)
 
-    def learn(index: int) -> Learned:
+    # So many seeds that some process would wait for the last ones are trained part by part: the next part of a seed is
+    # taken by another process, which goes on from its restart state.
+    size = world().size
+    parts = size if config.seeds > size and config.seeds % size else 1
+
+    def learn(number: int) -> Learned | None:
+        part, index = divmod(number, config.seeds)
         trainer = SeedTrainer(config, sphere, photographs, extractor, seed, index)
-        curve = run_training(trainer, schedule, f"base shape {index}", Checkpoint(checkpoints / str(index), key))
+        checkpoint, until = Checkpoint(checkpoints / str(index), key), config.iterations * (part + 1) // parts
+        curve = run_training(trainer, schedule, f"base shape {index}", checkpoint, until=until)
+        if part + 1 < parts:
+            return None
         rows = [{"seed": index, **row} for row in curve.rows]
         return Learned(trainer.shape().cpu(), trainer.score(), trainer.scene.cpu(), rows)
 
-    learned = divide(learn, config.seeds)
+    learned = [one for one in divide(learn, config.seeds * parts) if one is not None]
     scores = [one.score for one in learned]
     best = min(range(config.seeds), key=scores.__getitem__)
     curve = Curve([row for one in learned for row in one.rows])

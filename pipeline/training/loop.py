@@ -45,11 +45,13 @@ def run_training(
     checkpoint: Checkpoint,
     prepare: Callable[[], None] | None = None,
     observe: Callable[[int], Mapping[str, float]] = lambda _iteration: {},
+    until: int | None = None,
 ) -> Curve:
     """Take all steps of a training, going on from the checkpoint where there is one; return the mean losses.
 
     `name` stands beside the progress bar and in errors. `prepare` comes before the first step, and what it has changed
-    is saved; `observe` measures what else a row of the curve holds, after the row's last iteration.
+    is saved; `observe` measures what else a row of the curve holds, after the row's last iteration. With `until`, only
+    the steps before that one are taken, and a later call takes the others.
 
     A killed call that is repeated with the same checkpoint ends with the same bytes (CPU). Raises TrainingDiverged
     where a loss or a weight is not finite, before the next restart state is written.
@@ -63,11 +65,12 @@ def run_training(
         prepare()
         checkpoint.save(pack(**trainer.parts()), {"iteration": 0, "rows": [], "recent": []})
     total = schedule.iterations
-    for iteration in tqdm(range(first, total), name, initial=first, total=total, disable=silent()):
+    last = total if until is None else until
+    for iteration in tqdm(range(first, last), name, initial=first, total=total, disable=silent()):
         unread.append(trainer.step(iteration))
         done = iteration + 1
         is_row = done == total or done % schedule.curve_every == 0
-        is_saved = done == total or done % schedule.checkpoint_every == 0
+        is_saved = done == last or done % schedule.checkpoint_every == 0
         if is_row or is_saved:
             recent, unread = recent + read_losses(unread, iteration, name), []
         if is_row:

@@ -36,6 +36,15 @@ def test_rows_are_means_and_the_last_one_may_be_short(tmp_path: Path) -> None:
     assert [(row["iteration"], row["seen"]) for row in curve.rows] == [(2, 1), (4, 3), (5, 4)]
 
 
+def test_a_training_in_two_parts_ends_as_in_one(tmp_path: Path) -> None:
+    whole, first, second = Descent(), Descent(), Descent()
+    expected = run_training(whole, Schedule(5, 2, 4), "descent", Checkpoint(tmp_path / "whole", "key"))
+    parts = Checkpoint(tmp_path / "parts", "key")
+    assert len(run_training(first, Schedule(5, 2, 4), "descent", parts, until=3).rows) == 1
+    assert run_training(second, Schedule(5, 2, 4), "descent", parts).rows == expected.rows
+    assert (first.place, second.place) == (0.5**3, whole.place)
+
+
 def test_what_prepares_a_training_happens_once(tmp_path: Path) -> None:
     prepared: list[int] = []
     for _ in range(2):
