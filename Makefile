@@ -6,8 +6,9 @@ STAMP := .venv/.installed
 TOOLS := .venv/.tools_installed
 # The stages' commands in dvc.yaml call `python`.
 export PATH := $(CURDIR)/$(BIN):$(PATH)
-# Threads that wait should sleep: on a busy machine spinning ones make every step many times slower.
-export OMP_WAIT_POLICY := PASSIVE
+# Threads that wait should spin for a moment and then sleep: spinning on halves the speed of a busy machine, sleeping at
+# once takes a third off that of a quiet one (docs/decisions.md).
+export GOMP_SPINCOUNT := 20000
 
 .PHONY: repro test check run bench dependencies tables clean help
 
