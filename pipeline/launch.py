@@ -49,7 +49,7 @@ def resolve_processes(processes: object, device: torch.device) -> int:
     """Turn a number or `auto` into the number of processes that share a stage's work.
 
     `auto` is one for each GPU, or for as many of them as are a power of two, by which batches divide. On a CPU it is
-    two, which are faster than one with the threads of both (docs/decisions.md), or one where there is a single thread.
+    two, which pays where seeds are divided (docs/decisions.md), or one where there is a single thread.
     Raises ConfigError for anything else.
     """
     if processes == "auto":
