@@ -1,6 +1,8 @@
 """The toybox is repeatable, its ground truth is true, and its pictures are not easy."""
 
+from itertools import product
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -8,7 +10,7 @@ import torch
 from jaxtyping import Bool, Float
 
 from pipeline.datasets.prepared import write_images, write_truth
-from pipeline.datasets.toybox import aeroplane, car, chair, horse
+from pipeline.datasets.toybox import aeroplane, car, chair, horse, toybox
 from pipeline.datasets.toybox.photograph import PhotographConfig, photograph
 from pipeline.datasets.toybox.toybox import CATEGORIES, ToyboxConfig, make_toybox
 from pipeline.datasets.toybox.views import choose_poses
@@ -115,6 +117,23 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path: Path) -> None:
         write_images(tmp_path / name / "prepared", dataset.images)
         write_truth(tmp_path / name / "truth", dataset.truth)
     assert sha256(tmp_path / "first") == sha256(tmp_path / "second")
+
+
+def test_processes_take_the_photographs_that_one_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = ToyboxConfig(seed=0, train_count=3, test_count=2, photograph=CONFIG)
+    alone = make_toybox(config)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+    monkeypatch.setattr(toybox, "_CHUNKS_WORTH_A_PROCESS", 1)
+    with patch.object(toybox, "ProcessPoolExecutor", wraps=toybox.ProcessPoolExecutor) as pool:
+        shared = make_toybox(config)
+    pool.assert_called_once()
+    for split, category in product(("train", "test"), CATEGORIES):
+        np.testing.assert_array_equal(shared.images[split][category], alone.images[split][category])
+        ours, theirs = shared.truth[split][category], alone.truth[split][category]
+        assert isinstance(ours, GroundTruth)
+        assert isinstance(theirs, GroundTruth)
+        for value, expected in zip(ours, theirs, strict=True):
+            np.testing.assert_array_equal(value, expected)
 
 
 def test_a_larger_toybox_begins_with_the_smaller() -> None:
