@@ -25,7 +25,7 @@ _PATIENCE = timedelta(days=7)
 """How long a process waits for another, which may have hours of work left; one that died is noticed at once."""
 
 
-def share_work(processes: object, device: torch.device, function: Callable[..., None], *arguments: object) -> None:
+def share_work(processes: int, device: torch.device, function: Callable[..., None], *arguments: object) -> None:
     """Call a function in every process that shares its work.
 
     With one process it is called here. More of them are started on this machine, each on a GPU of its own where the
@@ -33,27 +33,29 @@ def share_work(processes: object, device: torch.device, function: Callable[..., 
     Under torchrun this process is one of the group already, on any number of hosts, and `processes` is not used.
 
     When any process ends before its work is done, all do. Raises the UserError or FileNotFoundError of the first one
-    that had one, ProcessKilled where one was killed, and ConfigError as `resolve_processes` does.
+    that had one, and ProcessKilled where one was killed.
     """
-    number = resolve_processes(processes, device)
     if dist.is_torchelastic_launched():
         _work(int(os.environ["LOCAL_RANK"]), device, {}, function, arguments)
-    elif number == 1:
+    elif processes == 1:
         function(*arguments)
     else:
-        with TemporaryDirectory() as folder, divided_threads(number):
-            _start(number, device, f"file://{Path(folder) / 'meeting'}", function, arguments)
+        with TemporaryDirectory() as folder, divided_threads(processes):
+            _start(processes, device, f"file://{Path(folder) / 'meeting'}", function, arguments)
 
 
-def resolve_processes(processes: object, device: torch.device) -> int:
+def resolve_processes(processes: object, device: torch.device, parts: int) -> int:
     """Turn a number or `auto` into the number of processes that share a stage's work.
 
-    `auto` is one for each GPU, or for as many of them as are a power of two, by which batches divide. On a CPU it is
-    two, which pays where seeds are divided (docs/decisions.md), or one where there is a single thread.
+    `auto` is one for each GPU, or for as many of them as are a power of two, by which batches divide. On a CPU two
+    processes pay where the work has independent `parts`, such as seeds; a shared batch is faster on the threads of one
+    (docs/decisions.md).
     Raises ConfigError for anything else.
     """
     if processes == "auto":
-        return _power_of_two(torch.cuda.device_count()) if device.type == "cuda" else min(2, torch.get_num_threads())
+        if device.type == "cuda":
+            return _power_of_two(torch.cuda.device_count())
+        return min(2, parts, torch.get_num_threads())
     if type(processes) is not int or processes < 1:
         raise ConfigError(f"processes is {processes!r}; expected auto or a whole number from 1")
     return processes

@@ -10,7 +10,7 @@ from pipeline.datasets.images import load_images_of_size, place_images
 from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.distributed import is_first
 from pipeline.files import save_tensors, write_json
-from pipeline.launch import share_work
+from pipeline.launch import resolve_processes, share_work
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.scene_generator import scene_tensors, scene_texts
 from pipeline.training.base_shape import BaseShapeConfig, BaseShapes, learn_base_shape
@@ -23,12 +23,13 @@ def main() -> None:
     paths = dict.fromkeys(["images", "features", "checkpoints", "out", "metrics", "curve"], Path)
     arguments = parse(__doc__, **paths, seed=int)
     device = resolve_device(scalar(arguments.params, "device"))
-    share_work(scalar(arguments.params, "processes.learn_base_shape"), device, learn, arguments, device)
-
-
-def learn(arguments: Namespace, device: torch.device) -> None:
-    """Learn every seed's shape, then write all of them with their generators."""
     config = load(arguments.params, BaseShapeConfig, arguments.sections)
+    processes = resolve_processes(scalar(arguments.params, "processes.learn_base_shape"), device, config.seeds)
+    share_work(processes, device, learn, config, arguments, device)
+
+
+def learn(config: BaseShapeConfig, arguments: Namespace, device: torch.device) -> None:
+    """Learn every seed's shape, then write all of them with their generators."""
     memory = resolve_memory(scalar(arguments.params, "memory"))
     precision = resolve_precision(scalar(arguments.params, "precision"), device)
     key = restart_key(config, [arguments.images, arguments.features], arguments.seed, device, precision)

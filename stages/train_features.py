@@ -10,7 +10,7 @@ from pipeline.datasets.images import placed_bytes
 from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.distributed import is_first
 from pipeline.files import write_json
-from pipeline.launch import share_work
+from pipeline.launch import resolve_processes, share_work
 from pipeline.networks.feature_extractor import save_feature_extractor
 from pipeline.training.checkpoint import Checkpoint, restart_key
 from pipeline.training.curves import Curve
@@ -31,7 +31,8 @@ def main() -> None:
     paths = dict.fromkeys(["images", "test_images", "initial", "checkpoints", "out", "metrics", "curve"], Path)
     arguments = parse(__doc__, **paths, seed=int)
     device = resolve_device(scalar(arguments.params, "device"))
-    share_work(scalar(arguments.params, "processes.train_features"), device, train, arguments, device)
+    processes = resolve_processes(scalar(arguments.params, "processes.train_features"), device, parts=1)
+    share_work(processes, device, train, arguments, device)
 
 
 def train(arguments: Namespace, device: torch.device) -> None:

@@ -11,7 +11,7 @@ from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.distributed import is_first
 from pipeline.files import save_tensors, write_json
 from pipeline.geometry.camera import pose_to_tensor
-from pipeline.launch import share_work
+from pipeline.launch import resolve_processes, share_work
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.full_model import full_model_texts
 from pipeline.networks.scene_generator import load_scenes
@@ -26,7 +26,8 @@ def main() -> None:
     paths = dict.fromkeys(["images", "features", "base_shape", "mesh", "checkpoints", "out", "metrics", "curve"], Path)
     arguments = parse(__doc__, **paths, seed=int)
     device = resolve_device(scalar(arguments.params, "device"))
-    share_work(scalar(arguments.params, "processes.train_full"), device, train, arguments, device)
+    processes = resolve_processes(scalar(arguments.params, "processes.train_full"), device, parts=1)
+    share_work(processes, device, train, arguments, device)
 
 
 def train(arguments: Namespace, device: torch.device) -> None:

@@ -128,6 +128,7 @@ class SeedTrainer:
     ) -> None:
         device = sphere.directions.device
         self.config, self.sphere, self.photographs, self.extractor = config, sphere, photographs, extractor
+        self.seed = seed
         dimensions = torch.tensor(config.initial_dimensions, device=device)
         with initialised(seed, "base_shape", index):
             self.scene = SceneGenerator(
@@ -141,21 +142,21 @@ class SeedTrainer:
         self.rng = generator(seed, "base_shape", index, device=device)
         agree(self.scene.state_dict().values())
 
-    def generate(self, count: int) -> tuple[Scene, Float[Tensor, "B 3 H W"]]:
+    def generate(self, count: int, rng: torch.Generator) -> tuple[Scene, Float[Tensor, "B 3 H W"]]:
         """Draw `count` scenes, viewpoints and lights; render this process's share of them (paper 3.1.5)."""
-        scene = self.scene(share(self.scene.sample_noise(count, self.rng)))
-        pose = share(sample_viewpoints(self.config.viewpoint, count, self.rng))
+        scene = self.scene(share(self.scene.sample_noise(count, rng)))
+        pose = share(sample_viewpoints(self.config.viewpoint, count, rng))
         if self.config.framing == "box":
             pose = fill_picture(scene.vertices, pose, self.config.renderer.camera)
-        light = share(sample_lights(self.config.light, count, self.rng))
+        light = share(sample_lights(self.config.light, count, rng))
         mesh = Mesh(scene.vertices, self.sphere.faces, self.sphere.directions)
         rendering = render(mesh, scene.texture_maps, pose, scene.backgrounds, light, self.config.renderer)
         return scene, rendering.images
 
-    def reconstruction_loss(self, images: Float[Tensor, "B 3 H W"]) -> dict[str, Tensor]:
+    def reconstruction_loss(self, images: Float[Tensor, "B 3 H W"], rng: torch.Generator) -> dict[str, Tensor]:
         """Compare renderings, of which this process holds a share, with as many photographs (paper eqs. 1 to 3)."""
         total = len(self.photographs.images)
-        index = torch.randint(total, (whole(len(images)),), generator=self.rng, device=self.rng.device)
+        index = torch.randint(total, (whole(len(images)),), generator=rng, device=rng.device)
         (_, real), generated = self.photographs.batch(index), self.extractor(images)
         balance = self.config.reconstruction_balance
         losses = {"chamfer": chamfer(real, generated), "feature_matching": feature_matching(real, generated)}
@@ -166,8 +167,8 @@ class SeedTrainer:
         """Take one optimisation step and return its losses, on the device."""
         config = self.config
         self.scene.train()
-        scene, images = self.generate(config.batch_size)
-        losses = self.reconstruction_loss(images)
+        scene, images = self.generate(config.batch_size, self.rng)
+        losses = self.reconstruction_loss(images, self.rng)
         total = losses["reconstruction"]
         if config.constraints.smoothness:
             losses["smoothness"] = smoothness(scene.vertices, self.sphere.topology, config.smoothness).mean()
@@ -190,10 +191,13 @@ class SeedTrainer:
     def score(self) -> float:
         """Return the mean reconstruction loss over fresh batches: a label-free measure of a base shape.
 
-        As in a training step, textures are normalised by their batch; the generator goes on to collect its statistics.
+        It is measured on the same photographs, viewpoints and lights for every seed of a run, because batches differ by
+        more than shapes do. As in a training step, textures are normalised by their batch; the generator goes on to
+        collect its statistics.
         """
+        rng = generator(self.seed, "base_shape_score", device=self.rng.device)
         losses = [
-            self.reconstruction_loss(self.generate(self.config.batch_size)[1])["reconstruction"]
+            self.reconstruction_loss(self.generate(self.config.batch_size, rng)[1], rng)["reconstruction"]
             for _ in range(self.config.score_batches)
         ]
         return average(torch.stack(losses).mean()).item()

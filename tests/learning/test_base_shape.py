@@ -16,6 +16,7 @@ from pipeline.rendering.renderer import RendererConfig
 from pipeline.seeding import generator, initialised
 from pipeline.training import base_shape
 from pipeline.training.base_shape import BaseShapeConfig, BaseShapes, SeedTrainer, learn_base_shape
+from pipeline.training.photographs import Photographs
 from pipeline.training.viewpoints import AngleConfig, LightConfig, ViewpointConfig
 
 CONFIG = BaseShapeConfig(
@@ -97,6 +98,15 @@ def test_seeds_differ_and_the_lowest_score_wins(
     assert shapes.scores[shapes.best] == shapes.scores.min()
 
 
+def test_seeds_are_scored_on_the_same_batches(images: torch.Tensor, extractor: FeatureExtractor) -> None:
+    sphere = base_shape.build_sphere(CONFIG.subdivisions, torch.device("cpu"))
+    photographs = Photographs(images, extractor, CONFIG.batch_size, MEMORY)
+    first, second = (SeedTrainer(CONFIG, sphere, photographs, extractor, 0, index) for index in range(2))
+    assert first.score() != second.score()
+    second.scene.load_state_dict(first.scene.state_dict())
+    assert first.score() == second.score()
+
+
 def test_training_lowers_the_score(tmp_path: Path, images: torch.Tensor, extractor: FeatureExtractor) -> None:
     before = learn(tmp_path / "before", images, extractor, replace(CONFIG, seeds=1, iterations=0))
     after = learn(tmp_path / "after", images, extractor, replace(CONFIG, seeds=1, iterations=60, learning_rate=3e-3))
@@ -109,10 +119,10 @@ def test_a_loss_that_is_not_a_number_keeps_the_state_before_it(
     generate = SeedTrainer.generate
     calls = 0
 
-    def broken(trainer: SeedTrainer, count: int) -> tuple[Scene, torch.Tensor]:
+    def broken(trainer: SeedTrainer, count: int, rng: torch.Generator) -> tuple[Scene, torch.Tensor]:
         nonlocal calls
         calls += 1
-        scene, rendered = generate(trainer, count)
+        scene, rendered = generate(trainer, count, rng)
         return scene, rendered * float("nan") if calls == 4 else rendered
 
     monkeypatch.setattr(SeedTrainer, "generate", broken)

@@ -82,18 +82,18 @@ def test_a_killed_process_ends_the_training_which_resumes_to_the_same_bytes(two:
 @pytest.mark.parametrize("processes", [0, True, "2"])
 def test_the_number_of_processes_is_checked(processes: object) -> None:
     with pytest.raises(ConfigError, match="expected auto or a whole number from 1"):
-        share_work(processes, CPU, print)
+        resolve_processes(processes, CPU, parts=1)
 
 
-@pytest.mark.parametrize(("threads", "processes"), [(1, 1), (2, 2), (16, 2)])
-def test_auto_is_two_processes_on_a_cpu_that_has_threads_for_them(
-    threads: int, processes: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("threads", "parts", "processes"), [(1, 3, 1), (2, 3, 2), (16, 3, 2), (16, 1, 1)])
+def test_auto_is_two_processes_on_a_cpu_that_has_threads_and_parts_for_them(
+    threads: int, parts: int, processes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
-    assert resolve_processes("auto", CPU) == processes
+    assert resolve_processes("auto", CPU, parts) == processes
 
 
 @pytest.mark.parametrize(("gpus", "processes"), [(1, 1), (2, 2), (3, 2), (4, 4), (7, 4), (8, 8)])
 def test_auto_is_as_many_gpus_as_divide_batches(gpus: int, processes: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "device_count", lambda: gpus)
-    assert resolve_processes("auto", torch.device("cuda")) == processes
+    assert resolve_processes("auto", torch.device("cuda"), parts=1) == processes
