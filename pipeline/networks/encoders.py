@@ -11,6 +11,8 @@ from torch import Tensor, nn
 
 NORMALIZATION_GROUPS = 8
 CODE_NORM = 2.0
+LEAST_COLOR_VARIANCE = 1e-4
+"""That of rounding and noise: whitening does not magnify what varies less."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +62,14 @@ class Encoder(nn.Module):
     and codes have float32.
     """
 
+    color_mean: Tensor
+    color_mixing: Tensor
+
     def __init__(self, config: EncoderConfig, code_size: int, precision: torch.dtype) -> None:
         super().__init__()
         self.precision = precision
+        self.register_buffer("color_mean", torch.full((3,), 0.5))
+        self.register_buffer("color_mixing", 2 * torch.eye(3))
         deep = config.architecture == "resnet18"
         widths = [config.width * 2**group for group in range(4 if deep else 3)]
         self.stem = nn.Sequential(
@@ -80,9 +87,21 @@ class Encoder(nn.Module):
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B K"]:
         """Return the codes of images in [0, 1]; pooling to 4x4 keeps where things are."""
+        colors = torch.einsum("kc,bchw->bkhw", self.color_mixing, images - self.color_mean[:, None, None])
         with torch.autocast(images.device.type, torch.bfloat16, enabled=self.precision == torch.bfloat16):
-            maps = functional.relu(self.normalize(self.groups(self.stem(2 * images - 1))))
+            maps = functional.relu(self.normalize(self.groups(self.stem(colors))))
         return self.project(functional.adaptive_avg_pool2d(maps.float(), 4).flatten(1))
+
+    @torch.no_grad()
+    def whiten(self, images: Float[Tensor, "B 3 H W"]) -> None:
+        """Mix colour channels so that over these images they are uncorrelated, with mean 0 and deviation 1.
+
+        Hue varies a few times less than brightness, and a network learns last what varies least.
+        """
+        colors = images.transpose(0, 1).flatten(1)
+        variances, axes = torch.linalg.eigh(torch.cov(colors))
+        self.color_mean.copy_(colors.mean(dim=1))
+        self.color_mixing.copy_(axes * variances.clamp(min=LEAST_COLOR_VARIANCE).rsqrt() @ axes.T)
 
     @torch.no_grad()
     def standardize(self, images: Float[Tensor, "B 3 H W"]) -> None:

@@ -113,7 +113,11 @@ class FullModel(nn.Module):
         )
 
     def standardize(self, images: Float[Tensor, "B 3 H W"]) -> None:
-        """Rescale all encoders' codes to mean 0 and one size over these photographs, before training."""
+        """Whiten the texture encoder's colours and all encoders' codes over these photographs, before training.
+
+        Codes are only rescaled: to mean 0 and one size.
+        """
+        self.texture_encoder.whiten(images)
         for encoder in (self.shape_encoder, self.pose_encoder, self.texture_encoder, self.background_encoder):
             encoder.standardize(images)
 

@@ -24,6 +24,9 @@ from pipeline.training.exploration import Best, Estimate
 class LossConfig:
     """Weights of the terms; the reconstruction term's is 1."""
 
+    deepest_map: float
+    """Of the deepest feature map among the maps; the paper's is 1. A network that names things is against objects of
+    rare colours there, and leaves them without (docs/decisions.md)."""
     feature_matching: float
     pose_regression: float
     mirrored_regression: float
@@ -60,8 +63,8 @@ class FullLoss:
         images = model.render(Reconstruction(vertices, estimate.texture_maps, pose, estimate.backgrounds))
         features = self.extractor(images)
         terms = {
-            "reconstruction": feature_distance(photographs, features).mean(),
-            "feature_matching": feature_matching(photographs, features),
+            "reconstruction": feature_distance(photographs, features, config.deepest_map).mean(),
+            "feature_matching": feature_matching(photographs, features, config.deepest_map),
             "pose_regression": pose_regression(estimate, best),
             "mirrored_regression": self.mirrored_regression(estimate, best),
             "shape_regression": shape_regression(estimate, best),

@@ -31,6 +31,8 @@ class WarmUpConfig:
     Attributes:
         iterations: 0 starts full training from scratch, as the paper does.
         shape_spread: standard deviation of the shapes around the base shape, in shape parameters.
+        paint: largest part by which each colour channel of a texture or background is made brighter or darker, so that
+            the encoders meet colours that the generators seldom paint in.
         noise: largest standard deviation of the pixel noise, so that the encoders do not rely on clean edges.
     """
 
@@ -40,6 +42,7 @@ class WarmUpConfig:
     betas: tuple[float, float]
     light: LightConfig
     shape_spread: float
+    paint: float
     noise: float
 
 
@@ -51,6 +54,8 @@ class Draw(NamedTuple):
     """Of the generators of textures and backgrounds."""
     shape: Float[Tensor, "B K"]
     light: Light
+    paint: Float[Tensor, "2 B 3 1 1"]
+    """Multiplies the colours of textures and of backgrounds."""
     grain: Float[Tensor, "B 3 H W"]
     """Added to the pictures."""
 
@@ -107,9 +112,10 @@ def _draw(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: t
     noise = scenes.sample_noise(count, rng)
     shape = model.shapes.draw(count, config.shape_spread, rng)
     light = sample_lights(config.light, count, rng)
+    paint = 1 + config.paint * (2 * torch.rand(2, count, 3, 1, 1, generator=rng, device=rng.device) - 1)
     deviation = config.noise * torch.rand(count, 1, 1, 1, generator=rng, device=rng.device)
     grain = deviation * torch.randn(count, 3, size, size, generator=rng, device=rng.device)
-    return Draw(pose, noise, shape, light, grain)
+    return Draw(pose, noise, shape, light, paint, grain)
 
 
 @torch.no_grad()
@@ -117,9 +123,9 @@ def _render(model: FullModel, scenes: SceneGenerator, drawn: Draw) -> Sample:
     vertices = model.shapes(drawn.shape)
     images = render(
         Mesh(vertices, model.faces, model.directions),
-        scenes.texture(drawn.noise),
+        (drawn.paint[0] * scenes.texture(drawn.noise)).clamp(max=1),
         model.poses(drawn.pose, vertices),
-        scenes.background(drawn.noise),
+        (drawn.paint[1] * scenes.background(drawn.noise)).clamp(max=1),
         drawn.light,
         model.config.renderer,
     ).images
