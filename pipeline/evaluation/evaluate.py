@@ -15,7 +15,7 @@ from pipeline.evaluation.image_metrics import image_columns, image_figures
 from pipeline.evaluation.multiview import MultiviewConfig
 from pipeline.evaluation.pose_metrics import baseline_figures, pose_columns, pose_figures
 from pipeline.evaluation.retrieval import retrieve
-from pipeline.evaluation.shape import iou
+from pipeline.evaluation.shape import iou, shape_spread
 from pipeline.evaluation.shape_metrics import ShapeMetricsConfig, TrueShapes, silhouettes
 from pipeline.evaluation.statistics import mean_figure
 from pipeline.geometry.camera import Pose
@@ -73,7 +73,7 @@ def evaluate_images(
 ) -> tuple[dict[str, Any], Columns]:
     """Measure reconstructions before and after fine-tuning; return the figures and one row a picture.
 
-    Beside them stands what retrieving a training photograph by its colours reaches.
+    Beside them stand what retrieving a training photograph by its colours reaches, and how much shapes differ.
     """
     columns = {
         stage: image_columns(photographs, getattr(reconstructions, stage).images, extractor, config.batch_size)
@@ -81,7 +81,11 @@ def evaluate_images(
     }
     table = {"test_index": reconstructions.test_index, **_flatten(columns)}
     retrieved = image_columns(photographs, retrieve(photographs, training), extractor, config.batch_size)
-    return {"reconstruction": image_figures(columns["predicted"], columns["tuned"], retrieved)}, table
+    figures = {
+        "reconstruction": image_figures(columns["predicted"], columns["tuned"], retrieved),
+        "shape_spread": {stage: shape_spread(getattr(reconstructions, stage).vertices) for stage in STAGES},
+    }
+    return figures, table
 
 
 def evaluate_truth(

@@ -158,8 +158,8 @@ def _identity_drift(pooled: Sequence[Float[Tensor, "B K _ 1 1"]]) -> tuple[Figur
 def _distances(
     first: Sequence[Float[Tensor, "B K _ 1 1"]], second: Sequence[Float[Tensor, "B K _ 1 1"]]
 ) -> Float[Tensor, "B K"]:
-    flat = ([layer.flatten(0, 1) for layer in layers] for layers in (first, second))
-    return feature_distance(*flat).view(first[0].shape[:2])
+    one, other = ([layer.flatten(0, 1) for layer in layers] for layers in (first, second))
+    return feature_distance(one, other).view(first[0].shape[:2])
 
 
 @torch.no_grad()

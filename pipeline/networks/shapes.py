@@ -8,6 +8,10 @@ from pipeline.geometry.ffd import CONTROL_POINTS, control_point_weights, deform
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.symmetry import mirror_index, symmetrize
 
+SLOPE = 0.1
+"""Of the shape decoder's rectifiers where they are negative: what pushes every unit down could silence plain ones for
+ever (docs/decisions.md)."""
+
 
 class FreeFormShapes(nn.Module):
     """Deform a base shape by a 4x4x4 grid and by relative width, height and depth (paper section 3.2.1).
@@ -19,6 +23,7 @@ class FreeFormShapes(nn.Module):
     base_vertices: Tensor
     weights: Tensor
     mirrored_points: Tensor
+    smoothing: Tensor
 
     def __init__(
         self, base_vertices: Float[Tensor, "V 3"], grid_reach: float, dimension_reach: float, mirror: bool
@@ -31,6 +36,8 @@ class FreeFormShapes(nn.Module):
         self.register_buffer("base_vertices", base_vertices, persistent=False)
         self.register_buffer("weights", control_point_weights(base_vertices), persistent=False)
         self.register_buffer("mirrored_points", mirror_index(grid), persistent=False)
+        correlation = (-torch.cdist(3 * grid, 3 * grid).square() / 2).exp() + 1e-4 * torch.eye(CONTROL_POINTS)
+        self.register_buffer("smoothing", torch.linalg.cholesky(correlation), persistent=False)
 
     def forward(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
         """Return the deformed vertices, scaled into the unit cube. Gradients flow to the parameters."""
@@ -41,8 +48,14 @@ class FreeFormShapes(nn.Module):
         return fit_unit_cube(deform(self.base_vertices, self.weights, offsets) * dimensions[:, None])
 
     def draw(self, count: int, spread: float, rng: torch.Generator) -> Float[Tensor, "B K"]:
-        """Draw parameters from a normal distribution around the base shape."""
-        return spread * torch.randn(count, self.parameter_count, generator=rng, device=rng.device)
+        """Draw parameters from a normal distribution around the base shape.
+
+        Offsets of neighbouring control points are correlated: independent ones cancel each other, so that the shape
+        hardly changes and nobody can see from a picture what was drawn.
+        """
+        normal = torch.randn(count, self.parameter_count, generator=rng, device=rng.device)
+        offsets = self.smoothing @ normal[:, :-3].unflatten(1, (CONTROL_POINTS, 3))
+        return spread * torch.cat([offsets.flatten(1), normal[:, -3:]], 1)
 
 
 class OffsetShapes(nn.Module):
@@ -83,7 +96,7 @@ class ShapeDecoder(nn.Module):
         output = nn.Linear(hidden_size, parameter_count)
         nn.init.normal_(output.weight, std=1e-3)
         nn.init.zeros_(output.bias)
-        self.layers = nn.Sequential(nn.ReLU(), nn.Linear(code_size, hidden_size), nn.ReLU(), output)
+        self.layers = nn.Sequential(nn.LeakyReLU(SLOPE), nn.Linear(code_size, hidden_size), nn.LeakyReLU(SLOPE), output)
 
     def forward(self, code: Float[Tensor, "B K"]) -> Float[Tensor, "B parameters"]:
         """Return shape parameters."""

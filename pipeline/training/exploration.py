@@ -49,6 +49,7 @@ class ExplorationConfig:
     perturbed_poses: int
     """Near the recorded pose."""
     random_shapes: int
+    """Without random and perturbed ones no shape is searched for: the estimated one is the best, and always learns."""
     perturbed_shapes: int
     """Near the recorded shape."""
     pose_step: tuple[float, float]
@@ -109,24 +110,29 @@ def first_record(model: FullModel, count: int, rng: torch.Generator) -> Record:
 def candidates(
     model: FullModel, estimate: Estimate, record: Record, config: ExplorationConfig, rng: torch.Generator
 ) -> tuple[Float[Tensor, "candidates B 7"], Float[Tensor, "candidates B K"]]:
-    """List poses (recorded, estimated, near, random) with the recorded shape, then shapes with the recorded pose."""
+    """List poses (recorded, estimated, near, random) with the recorded shape, then shapes with the recorded pose.
+
+    Where no shapes are searched for, all poses come with the estimated shape, whose gradients flow.
+    """
     batch = len(record.pose)
     poses = torch.cat(
         [
             record.pose[None],
             estimate.student.coordinates[None],
             estimate.heads.coordinates.transpose(0, 1),
-            _near(record.pose, config.perturbed_poses, config.pose_step, rng),
+            _near_poses(record.pose, config, rng),
             _turned(record.pose, config.turned_poses, rng),
             flipped(record.pose, config.flipped_poses),
             _random_poses(model, batch, config, rng),
         ]
     )
     poses = model.poses.clamp(poses)
+    if config.random_shapes + config.perturbed_shapes == 0:
+        return poses, estimate.shape.expand(len(poses), -1, -1)
     shapes = torch.cat(
         [
             estimate.shape[None],
-            _near(record.shape, config.perturbed_shapes, config.shape_step, rng),
+            _near_shapes(model, record.shape, config, rng),
             _random_shapes(model, batch, config, rng),
         ]
     )
@@ -216,14 +222,25 @@ def flipped(pose: Float[Tensor, "B 7"], count: int) -> Float[Tensor, "count B 7"
     return torch.cat([cosine_and_sine * pose[:, :2], pose[:, 2:].expand(count, -1, -1)], dim=2)
 
 
-def _near(
-    recorded: Float[Tensor, "B K"], count: int, step: tuple[float, float], rng: torch.Generator
+def _near_poses(
+    recorded: Float[Tensor, "B 7"], config: ExplorationConfig, rng: torch.Generator
+) -> Float[Tensor, "count B 7"]:
+    shape = (config.perturbed_poses, whole(len(recorded)))
+    size = _sizes(shape, config.pose_step, rng)
+    return recorded + share(size * torch.randn(*shape, 7, generator=rng, device=rng.device), dim=1)
+
+
+def _near_shapes(
+    model: FullModel, recorded: Float[Tensor, "B K"], config: ExplorationConfig, rng: torch.Generator
 ) -> Float[Tensor, "count B K"]:
+    shape = (config.perturbed_shapes, whole(len(recorded)))
+    size = _sizes(shape, config.shape_step, rng)
+    return recorded + share(size * model.shapes.draw(math.prod(shape), 1.0, rng).unflatten(0, shape), dim=1)
+
+
+def _sizes(shape: tuple[int, int], step: tuple[float, float], rng: torch.Generator) -> Float[Tensor, "count B 1"]:
     smallest, largest = step
-    batch, coordinates = whole(len(recorded)), recorded.shape[1]
-    exponent = torch.rand(count, batch, 1, generator=rng, device=rng.device)
-    size = smallest * (largest / smallest) ** exponent
-    return recorded + share(size * torch.randn(count, batch, coordinates, generator=rng, device=rng.device), dim=1)
+    return smallest * (largest / smallest) ** torch.rand(*shape, 1, generator=rng, device=rng.device)
 
 
 def _turned(recorded: Float[Tensor, "B 7"], count: int, rng: torch.Generator) -> Float[Tensor, "count B 7"]:

@@ -34,6 +34,7 @@ class LossConfig:
     rendered_regression: float
     """Of poses in the random views that are rendered for view prior learning, which are known."""
     shape_regression: float
+    """Of vertices, in units of the cube."""
     total_variation: float
     view_prior: float
     smoothness: SmoothnessConfig
@@ -67,7 +68,7 @@ class FullLoss:
             "feature_matching": feature_matching(photographs, features, config.deepest_map),
             "pose_regression": pose_regression(estimate, best),
             "mirrored_regression": self.mirrored_regression(estimate, best),
-            "shape_regression": shape_regression(estimate, best),
+            "shape_regression": self.shape_regression(estimate, vertices),
             "total_variation": total_variation(estimate.texture_maps),
             **self.other_views(vertices, estimate, best.record.pose, images, rng),
         }
@@ -89,6 +90,13 @@ class FullLoss:
     def mirrored_regression(self, estimate: Estimate, best: Best) -> Float[Tensor, ""]:
         """Return the student's error on the photographs' mirror images."""
         return regression_error(estimate.mirrored, self.model.poses.mirror(best.record.pose.detach()))
+
+    def shape_regression(self, estimate: Estimate, vertices: Float[Tensor, "B V 3"]) -> Float[Tensor, ""]:
+        """Return the mean absolute error of the estimated shapes' vertices to those of the best shapes (term 2).
+
+        Of vertices rather than parameters, many of which move next to nothing.
+        """
+        return (self.model.shapes(estimate.shape) - vertices.detach()).abs().mean()
 
     def other_views(
         self,
@@ -129,8 +137,3 @@ def pose_regression(estimate: Estimate, best: Best) -> Float[Tensor, ""]:
     photograph = torch.arange(len(best.head), device=best.head.device)
     winners = PoseRegression(*(part[photograph, best.head] for part in estimate.heads))
     return regression_error(winners, recorded) + regression_error(estimate.student, recorded)
-
-
-def shape_regression(estimate: Estimate, best: Best) -> Float[Tensor, ""]:
-    """Return the mean absolute error of the estimated shape parameters to the recorded ones (term 2)."""
-    return (estimate.shape - best.record.shape.detach()).abs().mean()

@@ -1,4 +1,4 @@
-"""Warm up the full model on the base shape's own renderings, whose shape, pose and background are known (ours).
+"""Warm up the full model on the base shape's own renderings, whose shape and pose are known (ours).
 
 Base-shape learning has matched the distribution of such renderings to that of the photographs. A model that has
 learned to read them starts full training with poses near the truth instead of random ones, which the search of paper
@@ -69,7 +69,10 @@ class Sample(NamedTuple):
 
 
 def warm_up(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: torch.Generator) -> None:
-    """Train every encoder and decoder of the model on renderings. Raises TrainingDiverged as full training does."""
+    """Train the encoders and decoders of poses, textures and backgrounds on renderings.
+
+    Raises TrainingDiverged as full training does.
+    """
     optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, betas=config.betas, fused=True)
     losses: list[dict[str, Tensor]] = []
     for _ in tqdm(range(config.iterations), "warm-up", disable=silent()):
@@ -85,15 +88,16 @@ def draw_sample(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, 
 
 
 def warm_up_loss(model: FullModel, sample: Sample) -> Float[Tensor, ""]:
-    """Return the errors of poses (student and every head), of shapes, and of the picture drawn again.
+    """Return the errors of poses (student and every head), and of the picture drawn again.
 
-    The picture is drawn with the true pose and shape: its error trains the texture and the background.
+    The picture is drawn with the true pose and shape: its error trains the texture and the background. Shapes are left
+    to full training: how a small picture differs for an object's shape is learned too late to be a lesson here, and
+    until then the only answer is the base shape (docs/decisions.md).
     """
     images, pose, shape = sample
     code = model.pose_encoder(images)
     heads = regression_error(model.pose_decoder.ensemble(code), pose[:, None])
     student = regression_error(model.pose_decoder(code), pose)
-    shapes = (model.shape_decoder(model.shape_encoder(images)) - shape).abs().mean()
     vertices = model.shapes(shape)
     drawn = model.render(
         Reconstruction(
@@ -103,7 +107,7 @@ def warm_up_loss(model: FullModel, sample: Sample) -> Float[Tensor, ""]:
             model.background_decoder(model.background_encoder(images)),
         )
     )
-    return heads + student + shapes + (drawn - images).abs().mean()
+    return heads + student + (drawn - images).abs().mean()
 
 
 def _draw(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: torch.Generator) -> Draw:

@@ -25,6 +25,18 @@ def test_warm_up_teaches_where_objects_are_in_unseen_renderings() -> None:
     assert error_of_box() < 0.7 * before
 
 
+def test_paint_changes_colors_alone() -> None:
+    model, scenes = tiny_model(), tiny_scenes().generators[0]
+    plain, painted = (
+        draw_sample(model, scenes, replace(CONFIG, paint=paint, noise=0.0), generator(2)) for paint in (0.0, 0.3)
+    )
+    assert torch.equal(plain.pose, painted.pose)
+    factors = painted.images[plain.images > 0.05] / plain.images[plain.images > 0.05]
+    assert factors.min() >= 0.7 - 1e-3
+    assert factors.max() <= 1.3 + 1e-3
+    assert factors.std() > 0.1
+
+
 def test_renderings_stay_in_range_and_differ() -> None:
     images, _, shape = draw_sample(tiny_model(), tiny_scenes().generators[0], CONFIG, generator(2))
     assert images.min() >= 0

@@ -104,7 +104,7 @@ def test_each_ablation_changes_what_its_name_says() -> None:
         "no-first-poses": {"first_poses": None, "ends": None, "settle": 0.0},
         "no-ends": {"ends": None},
         "no-view-prior": {"view_prior": 0},
-        "no-additions": {"first_poses": None, "ends": None, "settle": 0.0, **additions},
+        "no-additions": {"first_poses": None, "ends": None, "settle": 0.0, "deepest_map": 1, **additions},
     }
 
 

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from pipeline.networks.encoders import CODE_NORM, Encoder, EncoderConfig
+from pipeline.networks.encoders import CODE_NORM, LEAST_COLOR_VARIANCE, Encoder, EncoderConfig
 from pipeline.seeding import generator, initialised
 
 CONFIGS = [(EncoderConfig("wide_resnet", 8, 1), 32), (EncoderConfig("resnet18", 8, 2), 128)]
@@ -34,6 +34,27 @@ def test_standardized_codes_have_mean_zero_and_one_deviation() -> None:
     codes = encoder(images)
     torch.testing.assert_close(codes.mean(dim=0), torch.zeros(5), atol=1e-3, rtol=0)
     torch.testing.assert_close(codes.std(dim=0), torch.full((5,), CODE_NORM / 5**0.5), atol=1e-3, rtol=0)
+
+
+def test_whitened_colors_are_uncorrelated_and_of_one_size() -> None:
+    encoder = Encoder(EncoderConfig("wide_resnet", 8, 1), 5, torch.float32)
+    light = torch.rand(20, 1, 32, 32, generator=generator(0))
+    hue = 0.1 * torch.rand(20, 3, 32, 32, generator=generator(1))
+    images = 0.9 * light + hue
+    encoder.whiten(images)
+    met = []
+    encoder.stem.register_forward_pre_hook(lambda _, arguments: met.append(arguments[0]))
+    encoder(images)
+    colors = met[0].transpose(0, 1).flatten(1)
+    torch.testing.assert_close(colors.mean(dim=1), torch.zeros(3), atol=1e-3, rtol=0)
+    torch.testing.assert_close(torch.cov(colors), torch.eye(3), atol=1e-2, rtol=0)
+
+
+def test_whitening_does_not_magnify_what_photographs_lack() -> None:
+    encoder = Encoder(EncoderConfig("wide_resnet", 8, 1), 5, torch.float32)
+    encoder.whiten(torch.rand(4, 1, 32, 32, generator=generator(0)).expand(-1, 3, -1, -1))  # grey
+    assert encoder.color_mixing.isfinite().all()
+    assert encoder.color_mixing.abs().max() <= LEAST_COLOR_VARIANCE**-0.5
 
 
 def test_code_tells_where_things_are() -> None:

@@ -1,6 +1,6 @@
 import torch
 
-from pipeline.evaluation.shape import chamfer_l1, iou, sample_outer_surface, sample_surface
+from pipeline.evaluation.shape import chamfer_l1, iou, sample_outer_surface, sample_surface, shape_spread
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.voxels import voxelize
 
@@ -31,6 +31,13 @@ def test_chamfer_of_shifted_grids_is_the_shift() -> None:
 def test_chamfer_counts_both_directions() -> None:
     one, two = torch.zeros(1, 1, 3), torch.tensor([[[0.0, 0, 0], [0, 0, 3]]])
     assert chamfer_l1(one, two).item() == (0 + 1.5) / 2
+
+
+def test_spread_is_the_mean_distance_from_the_mean_shape() -> None:
+    vertices, _ = icosphere(1)
+    assert shape_spread(vertices.expand(3, -1, -1)) == 0
+    moved = torch.stack([vertices - torch.tensor([0.0, 0.03, 0.04]), vertices + torch.tensor([0.0, 0.03, 0.04])])
+    assert abs(shape_spread(moved) - 0.05) < 1e-6
 
 
 def test_points_lie_on_the_surface_in_proportion_to_area() -> None:

@@ -59,6 +59,31 @@ def test_each_kind_of_candidate_is_there_once_for_every_photograph() -> None:
     assert torch.equal(shapes[12], estimate.shape)
 
 
+def test_the_estimated_shape_is_the_best_and_learns_where_none_is_searched_for() -> None:
+    model, extractor = tiny_model(), tiny_extractor()
+    images, _ = photographs(3)
+    features = [layer.float() for layer in extract(extractor, images, 3)]
+    record = first_record(model, 3, generator(0))
+    config = replace(CONFIG, random_shapes=0, perturbed_shapes=0)
+    shape = torch.randn(3, model.shapes.parameter_count, generator=generator(2), requires_grad=True)
+    estimate = estimate_of(model, 3)._replace(shape=shape)
+    best = explore(model, extractor, features, estimate, record, config, generator(1))
+    assert torch.equal(best.record.shape, shape)
+    best.record.shape.sum().backward()
+    assert shape.grad is not None
+    assert torch.equal(shape.grad, torch.ones_like(shape))
+
+
+def test_near_shapes_differ_as_random_ones_do() -> None:
+    model = tiny_model()
+    record = first_record(model, 3, generator(0))
+    config = replace(CONFIG, random_shapes=0, perturbed_shapes=300, shape_step=(0.2, 0.2))
+    _, shapes = candidates(model, estimate_of(model, 3), record, config, generator(1))
+    near = shapes[-300:].flatten(0, 1)
+    random = model.shapes.draw(900, 0.2, generator(3))
+    torch.testing.assert_close(torch.cov(near.T), torch.cov(random.T), atol=0.015, rtol=0)
+
+
 def test_turned_candidates_keep_all_but_the_azimuth_and_spread_over_the_circle() -> None:
     model = tiny_model()
     record = first_record(model, 2, generator(0))

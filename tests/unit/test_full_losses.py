@@ -30,13 +30,13 @@ def terms_of(trainer: FullTrainer) -> dict[str, Tensor]:
     """Compare the photographs with what is recorded of them, which no network has estimated."""
     images, features = trainer.photographs.batch(torch.arange(4))
     _, poses = photographs(4)
-    record = Record(poses, torch.zeros(4, trainer.model.shapes.parameter_count))
+    record = Record(poses, trainer.model.shapes.draw(4, 0.5, generator(3)))
     best = Best(record, torch.zeros(4, dtype=torch.int64))
     return trainer.loss.terms(features, trainer.estimate(images), best, generator(1))
 
 
 @pytest.mark.parametrize(
-    "name", [field.name for field in fields(TRAINING.loss) if field.name not in ("smoothness", "reconstruction")]
+    "name", [field.name for field in fields(TRAINING.loss) if field.name not in ("smoothness", "deepest_map")]
 )
 def test_a_term_counts_by_its_weight(name: str) -> None:
     trainer = trainer_of()
@@ -44,6 +44,17 @@ def test_a_term_counts_by_its_weight(name: str) -> None:
     terms = terms_of(trainer)
     assert terms[name].abs() > 1e-4
     torch.testing.assert_close(terms["loss"], terms["reconstruction"] + 3 * terms[name])
+
+
+@pytest.mark.parametrize("name", ["reconstruction", "feature_matching"])
+def test_the_deepest_map_counts_by_its_weight(name: str) -> None:
+    trainer = trainer_of()
+    terms = []
+    for weight in (0.0, 1.0, 3.0):
+        trainer.loss.config = replace(UNWEIGHTED, deepest_map=weight)
+        terms.append(terms_of(trainer)[name])
+    assert terms[1] > terms[0] > 0
+    torch.testing.assert_close(terms[2] - terms[0], 3 * (terms[1] - terms[0]))
 
 
 @pytest.mark.parametrize(

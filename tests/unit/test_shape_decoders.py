@@ -63,6 +63,36 @@ def test_random_ellipsoids_are_smooth() -> None:
     assert (stretch / stretch[2] - 1).abs().amax() > 0.02
 
 
+def test_random_grids_move_neighbours_alike() -> None:
+    shapes = free_form(mirror=False)
+    parameters = shapes.draw(2000, 0.5, generator(0))
+    torch.testing.assert_close(parameters.std(dim=0), torch.full((195,), 0.5), atol=0.05, rtol=0)
+    offsets = parameters[:, :-3].unflatten(1, (4, 4, 4, 3))
+    near, far = (
+        torch.corrcoef(torch.stack([offsets[:, 0, 0, 0, 0], offsets[:, 0, 0, k, 0]]))[0, 1].item() for k in (1, 3)
+    )
+    assert abs(near - math.exp(-0.5)) < 0.06
+    assert abs(far) < 0.06
+
+
+def test_decoder_stays_alive_where_it_is_pushed_to_the_base_shape() -> None:
+    with initialised(0):
+        decoder = ShapeDecoder(8, 16, 195)
+    optimizer = torch.optim.Adam(decoder.parameters(), lr=3e-3)
+    codes = torch.randn(64, 8, generator=generator(0))
+    noise = torch.randn(200, 64, 195, generator=generator(1))
+    for wanted in noise:
+        optimizer.zero_grad()
+        (decoder(codes) - wanted).abs().mean().backward()
+        optimizer.step()
+    wanted = codes[:, :1].expand(-1, 195)
+    for _ in range(200):
+        optimizer.zero_grad()
+        (decoder(codes) - wanted).abs().mean().backward()
+        optimizer.step()
+    assert (decoder(codes) - wanted).abs().mean() < 0.3 * wanted.abs().mean()
+
+
 def test_decoder_starts_near_the_base_shape() -> None:
     with initialised(0):
         decoder = ShapeDecoder(8, 16, 195)
