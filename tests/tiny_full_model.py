@@ -99,11 +99,13 @@ def photographs(count: int) -> tuple[UInt8[Tensor, "N 3 32 32"], Float[Tensor, "
 
 
 def photographs_of(
-    coordinates: Float[Tensor, "N 7"], pose_range: PoseRange = MODEL.pose_range
+    coordinates: Float[Tensor, "N 7"],
+    pose_range: PoseRange = MODEL.pose_range,
+    shape: Float[Tensor, "N K"] | None = None,
 ) -> UInt8[Tensor, "N 3 32 32"]:
-    """Render the base mesh, front red and rear blue, at poses."""
+    """Render the base mesh, or deformations of it, front red and rear blue, at poses."""
     model, count = tiny_model(pose_range=pose_range), len(coordinates)
-    vertices = model.base_vertices.expand(count, -1, -1)
+    vertices = model.shapes(torch.zeros(count, model.shapes.parameter_count) if shape is None else shape)
     columns = torch.linspace(0, 1, 32)
     front = 1 - (2 * columns - 1).abs()
     texture_map = torch.stack([front, 0.3 * torch.ones(32), 1 - front])[:, None].expand(3, 32, 32)

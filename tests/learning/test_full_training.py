@@ -22,7 +22,7 @@ from pipeline.training.first_poses import read_poses
 from pipeline.training.full import train_full
 from pipeline.training.full_trainer import FullTrainer, FullTrainingConfig
 from pipeline.training.photographs import Photographs
-from tests.tiny_full_model import MODEL, TRAINING, base_mesh, photographs, tiny_extractor, tiny_model, tiny_scenes
+from tests.tiny_full_model import MODEL, TRAINING, base_mesh, photographs, photographs_of, tiny_extractor, tiny_model, tiny_scenes
 
 MEMORY = 2**30
 SINGLE_STAGE = replace(TRAINING, model=replace(MODEL, two_stage=False))
@@ -256,3 +256,22 @@ def test_fine_tuning_moves_only_background_pose_and_shape(tmp_path: Path) -> Non
     assert torch.equal(results["backgrounds_predicted"], results["backgrounds_tuned"])
     assert not torch.equal(results["pose_predicted"], results["pose_tuned"])
     torch.testing.assert_close(results["textures"], model.infer(images.float() / 255).texture_maps)
+
+
+def test_predicted_shapes_differ_as_the_photographed_ones_do() -> None:
+    poses = tiny_model().poses.draw(48, generator(2))
+    shape = torch.zeros(48, tiny_model().shapes.parameter_count)
+    shape[::2, -2], shape[1::2, -2] = 2.0, -2.0  # high and low bodies by turns: logarithms .8 apart
+    images, extractor = photographs_of(poses, shape=shape), tiny_extractor()
+    exploration = replace(TRAINING.exploration, random_shapes=0, perturbed_shapes=0)
+    config = replace(TRAINING, iterations=120, learning_rate=3e-3, exploration=exploration, photographs_per_iteration=48)
+    trainer = FullTrainer(config, Photographs(images, extractor, 4, MEMORY), extractor, base_mesh(), 0)
+    trainer.record.pose.copy_(poses)
+    for iteration in range(config.iterations):
+        trainer.step(iteration)
+    with torch.no_grad():
+        vertices = trainer.model.shapes(trainer.estimate(images.float() / 255).shape)
+    extent = vertices.amax(dim=1) - vertices.amin(dim=1)
+    height = (extent[:, 1] / extent[:, 2]).log()
+    assert height[::2].mean() > height[1::2].mean() + 0.15
+    assert torch.corrcoef(torch.stack([height, shape[:, -2]]))[0, 1] > 0.5
