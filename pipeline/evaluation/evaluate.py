@@ -81,9 +81,10 @@ def evaluate_images(
     }
     table = {"test_index": reconstructions.test_index, **_flatten(columns)}
     retrieved = image_columns(photographs, retrieve(photographs, training), extractor, config.batch_size)
+    spread = {stage: mean_figure(shape_spread(getattr(reconstructions, stage).vertices)) for stage in STAGES}
     figures = {
         "reconstruction": image_figures(columns["predicted"], columns["tuned"], retrieved),
-        "shape_spread": {stage: shape_spread(getattr(reconstructions, stage).vertices) for stage in STAGES},
+        "shape_spread": spread,
     }
     return figures, table
 

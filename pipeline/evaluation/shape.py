@@ -15,12 +15,12 @@ def iou(first: Bool[Tensor, "B *grid"], second: Bool[Tensor, "B *grid"]) -> Floa
     return torch.where(union > 0, (first & second).sum(1) / union.clamp_min(1), 1.0)
 
 
-def shape_spread(vertices: Float[Tensor, "B V 3"]) -> float:
+def shape_spread(vertices: Float[Tensor, "B V 3"]) -> Float[Tensor, " B"]:
     """Measure how much deformations of one mesh differ: the mean distance of vertices from their means over the batch.
 
-    In units of the cube. 0: every picture has got the same shape.
+    In units of the vertices. All zeros: every picture has got the same shape.
     """
-    return (vertices - vertices.mean(dim=0)).norm(dim=-1).mean().item()
+    return (vertices - vertices.mean(dim=0)).norm(dim=-1).mean(dim=1)
 
 
 def sample_surface(

@@ -22,7 +22,16 @@ from pipeline.training.first_poses import read_poses
 from pipeline.training.full import train_full
 from pipeline.training.full_trainer import FullTrainer, FullTrainingConfig
 from pipeline.training.photographs import Photographs
-from tests.tiny_full_model import MODEL, TRAINING, base_mesh, photographs, photographs_of, tiny_extractor, tiny_model, tiny_scenes
+from tests.tiny_full_model import (
+    MODEL,
+    TRAINING,
+    base_mesh,
+    photographs,
+    photographs_of,
+    tiny_extractor,
+    tiny_model,
+    tiny_scenes,
+)
 
 MEMORY = 2**30
 SINGLE_STAGE = replace(TRAINING, model=replace(MODEL, two_stage=False))
@@ -264,7 +273,9 @@ def test_predicted_shapes_differ_as_the_photographed_ones_do() -> None:
     shape[::2, -2], shape[1::2, -2] = 2.0, -2.0  # high and low bodies by turns: logarithms .8 apart
     images, extractor = photographs_of(poses, shape=shape), tiny_extractor()
     exploration = replace(TRAINING.exploration, random_shapes=0, perturbed_shapes=0)
-    config = replace(TRAINING, iterations=120, learning_rate=3e-3, exploration=exploration, photographs_per_iteration=48)
+    config = replace(
+        TRAINING, iterations=120, learning_rate=3e-3, exploration=exploration, photographs_per_iteration=48.0
+    )
     trainer = FullTrainer(config, Photographs(images, extractor, 4, MEMORY), extractor, base_mesh(), 0)
     trainer.record.pose.copy_(poses)
     for iteration in range(config.iterations):

@@ -110,6 +110,7 @@ TABLES: dict[str, Table | Confusion] = {
         {
             "base shape": "shape.base.voxel_iou",
             "predicted": "shape.test.voxel_iou",
+            "shapes differ by": "shape_spread.predicted",
             "mean shape of the truth": "shape.constant.voxel_iou",
             "masks predicted": "shape.test.mask_iou",
             "masks fine-tuned": "shape.test_tuned.mask_iou",
@@ -204,6 +205,8 @@ def render(table: Table | Confusion, results: Path) -> str:
 
 
 def _cell(found: list[Figure]) -> str:
+    if not found:
+        return "–"
     values = [figure["value"] for figure in found]
     spread = statistics.stdev(values) if len(values) > 1 else found[0]["standard_error"]
     decimals = 3 if max(values) < 2 else 1

@@ -111,5 +111,6 @@ def test_reconstruction_nearer_to_the_photograph_counts_as_improved(learned: Cha
     figures, table = evaluate_images(photographs, training, learned.reconstructions, extractor, CONFIG)
     assert figures["reconstruction"]["retrieved"]["feature_distance"]["value"] > 0
     assert figures["reconstruction"]["improved"]["value"] == 1
+    assert figures["shape_spread"]["predicted"]["n"] == COUNT
     assert figures["reconstruction"]["tuned"]["feature_distance"]["value"] == 0
     torch.testing.assert_close(table["psnr_predicted"], torch.full((COUNT,), -20 * math.log10(0.25)))

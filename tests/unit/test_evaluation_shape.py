@@ -35,9 +35,9 @@ def test_chamfer_counts_both_directions() -> None:
 
 def test_spread_is_the_mean_distance_from_the_mean_shape() -> None:
     vertices, _ = icosphere(1)
-    assert shape_spread(vertices.expand(3, -1, -1)) == 0
+    assert not shape_spread(vertices.expand(3, -1, -1)).any()
     moved = torch.stack([vertices - torch.tensor([0.0, 0.03, 0.04]), vertices + torch.tensor([0.0, 0.03, 0.04])])
-    assert abs(shape_spread(moved) - 0.05) < 1e-6
+    torch.testing.assert_close(shape_spread(moved), torch.tensor([0.05, 0.05]))
 
 
 def test_points_lie_on_the_surface_in_proportion_to_area() -> None:
