@@ -17,7 +17,7 @@ from pipeline.evaluation.pose_metrics import baseline_figures, pose_columns, pos
 from pipeline.evaluation.retrieval import retrieve
 from pipeline.evaluation.shape import iou, shape_spread
 from pipeline.evaluation.shape_metrics import ShapeMetricsConfig, TrueShapes, silhouettes
-from pipeline.evaluation.statistics import mean_figure
+from pipeline.evaluation.statistics import Figure, mean_figure
 from pipeline.geometry.camera import Pose
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.rendering.renderer import RendererConfig
@@ -126,17 +126,20 @@ def _evaluate_shape(
 ) -> tuple[dict[str, Any], Columns]:
     rng = generator(config.seed, "evaluate shape")
     shapes = TrueShapes(test, training, config.shape, rng)
-    columns = {}
+    columns: dict[str, Columns] = {}
+    correlations: dict[str, dict[str, Figure]] = {}
     for stage in STAGES:
         reconstruction: Snapshot = getattr(learned.reconstructions, stage)
         vertices = turn_vertices(reconstruction.vertices, angle)
         columns[stage] = shapes.columns(vertices, learned.reconstructions.faces, rng)
+        correlations[stage] = shapes.proportion_figures(vertices)
         masks = silhouettes(
             reconstruction, learned.reconstructions.faces, learned.reconstructions.directions, learned.renderer
         )
         columns[stage]["mask_iou"] = iou(masks, test.masks)
     figures: dict[str, Any] = {
-        split: {name: mean_figure(values) for name, values in columns[stage].items()} for stage, split in SPLITS.items()
+        split: {name: mean_figure(values) for name, values in columns[stage].items()} | correlations[stage]
+        for stage, split in SPLITS.items()
     }
     figures["base"] = shapes.base_figures(turn_vertices(learned.base, angle), learned.base_faces, rng)
     typical_mask = training.masks.double().mean(0) >= 0.5

@@ -23,6 +23,12 @@ def shape_spread(vertices: Float[Tensor, "B V 3"]) -> Float[Tensor, " B"]:
     return (vertices - vertices.mean(dim=0)).norm(dim=-1).mean(dim=1)
 
 
+def proportions(vertices: Float[Tensor, "B V 3"]) -> Float[Tensor, "B 2"]:
+    """Return the logarithms of width and height over length: how wide (x) and high (y) a shape is for its depth (z)."""
+    extents = (vertices.amax(dim=1) - vertices.amin(dim=1)).log()
+    return extents[:, :2] - extents[:, 2:]
+
+
 def sample_surface(
     vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], count: int, rng: torch.Generator
 ) -> tuple[Float[Tensor, "B count 3"], Float[Tensor, "B count 3"]]:

@@ -8,8 +8,8 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from pipeline.evaluation.artifacts import Snapshot, TrueObjects
-from pipeline.evaluation.shape import chamfer_l1, iou, sample_outer_surface
-from pipeline.evaluation.statistics import Figure, mean_figure
+from pipeline.evaluation.shape import chamfer_l1, iou, proportions, sample_outer_surface
+from pipeline.evaluation.statistics import Figure, correlation_figure, mean_figure
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.voxels import voxelize
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
@@ -37,7 +37,7 @@ class TrueShapes:
         self, truth: TrueObjects, training: TrueObjects, config: ShapeMetricsConfig, rng: torch.Generator
     ) -> None:
         self._config = config
-        self.faces = truth.faces
+        self.vertices, self.faces = truth.vertices, truth.faces
         self.voxels = voxelize(truth.vertices, truth.faces, config.voxel_resolution)
         self.points = sample_outer_surface(truth.vertices, truth.faces, self.voxels, config.surface_points, rng)
         occupied = voxelize(training.vertices, training.faces, config.voxel_resolution)
@@ -55,6 +55,15 @@ class TrueShapes:
             "voxel_iou": iou(voxels, self.voxels),
             "chamfer_l1": _chamfer_in_parts(points, self.points),
         }
+
+    def proportion_figures(self, vertices: Float[Tensor, "B V 3"]) -> dict[str, Figure]:
+        """Correlate relative widths and heights of shapes, in the frame of the truth, with those of the true shapes.
+
+        What no constant shape can do, and what volumes hardly show.
+        """
+        names = ("width_correlation", "height_correlation")
+        found, true = (proportions(shapes).unbind(dim=1) for shapes in (vertices, self.vertices))
+        return dict(zip(names, map(correlation_figure, found, true), strict=True))
 
     def base_figures(
         self, base: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], rng: torch.Generator

@@ -19,6 +19,21 @@ def mean_figure(values: Float[Tensor, " B"] | Bool[Tensor, " B"]) -> Figure:
     return {"value": values.double().mean().item(), "n": count, "standard_error": spread / count**0.5}
 
 
+def correlation_figure(first: Float[Tensor, " B"], second: Float[Tensor, " B"]) -> Figure:
+    """Summarize how far two quantities vary together by their correlation; 0 where one of them is constant.
+
+    The standard error is that of large samples from a normal distribution.
+    """
+    one, other = (values.double() - values.double().mean() for values in (first, second))
+    scale = (one.norm() * other.norm()).item()
+    correlation = (one @ other).item() / scale if scale > 0 else 0.0
+    return {
+        "value": correlation,
+        "n": len(first),
+        "standard_error": max(1 - correlation**2, 0.0) / max(len(first) - 1, 1) ** 0.5,
+    }
+
+
 def median_figure(values: Float[Tensor, " B"], rng: torch.Generator) -> Figure:
     """Summarize samples by their median, with the standard deviation of bootstrapped medians as standard error."""
     count = len(values)

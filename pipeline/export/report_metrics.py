@@ -96,13 +96,14 @@ def pose_table(pose: Mapping[str, Any]) -> str:
 
 def shape_table(shape: Mapping[str, Any]) -> str:
     """Lay out one row for each kind of shape, the constant last."""
-    columns = ("voxel_iou", "chamfer_l1", "mask_iou")
+    columns = ("voxel_iou", "chamfer_l1", "mask_iou", "width_correlation", "height_correlation")
     rows = [
         [ROW_NAMES.get(name, name), *(figure_cell(shape[name].get(column)) for column in columns)]
         for name in (*ROW_NAMES, *BASELINES)
         if name in shape
     ]
-    return table(["shapes", "volume IoU", "Chamfer-L1", "mask IoU"], rows, BASELINES)
+    heading = ["shapes", "volume IoU", "Chamfer-L1", "mask IoU", "correlation of widths", "of heights"]
+    return table(heading, rows, BASELINES)
 
 
 def curve_section(curves: Mapping[str, Mapping[str, list[str]]]) -> Section:

@@ -111,6 +111,8 @@ TABLES: dict[str, Table | Confusion] = {
             "base shape": "shape.base.voxel_iou",
             "predicted": "shape.test.voxel_iou",
             "shapes differ by": "shape_spread.predicted",
+            "correlation of widths": "shape.test.width_correlation",
+            "of heights": "shape.test.height_correlation",
             "mean shape of the truth": "shape.constant.voxel_iou",
             "masks predicted": "shape.test.mask_iou",
             "masks fine-tuned": "shape.test_tuned.mask_iou",

@@ -79,6 +79,8 @@ def test_right_answers_in_a_turned_frame_score_full_marks(learned: ChainResult, 
     assert figures["shape"]["test_tuned"]["voxel_iou"]["value"] > 0.99
     assert figures["shape"]["test_tuned"]["mask_iou"]["value"] == 1
     assert figures["shape"]["test_tuned"]["chamfer_l1"]["value"] < 0.03
+    assert figures["shape"]["test_tuned"]["width_correlation"]["value"] > 0.999
+    assert figures["shape"]["test_tuned"]["height_correlation"]["value"] > 0.999
     assert figures["shape"]["base"]["voxel_iou"]["value"] > 0.85
     assert table["rotation_error_predicted"].sort().values[-4:].tolist() == pytest.approx([180] * 4, abs=1e-3)
 

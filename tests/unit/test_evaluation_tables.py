@@ -2,7 +2,7 @@ from pathlib import Path
 
 import torch
 
-from pipeline.evaluation.statistics import mean_figure, median_figure
+from pipeline.evaluation.statistics import correlation_figure, mean_figure, median_figure
 from pipeline.evaluation.tables import figure_rows, format_figures, read_table, write_table
 
 METRICS = {
@@ -21,6 +21,17 @@ METRICS = {
 def test_standard_error_of_a_mean() -> None:
     assert mean_figure(torch.tensor([1.0, 3.0])) == {"value": 2.0, "n": 2, "standard_error": 1.0}
     assert mean_figure(torch.tensor([True]))["standard_error"] == 0
+
+
+def test_correlation_of_what_varies_together_against_each_other_and_not_at_all() -> None:
+    values = torch.randn(2000, generator=torch.Generator().manual_seed(0))
+    noise = torch.randn(2000, generator=torch.Generator().manual_seed(1))
+    assert abs(correlation_figure(values, 3 * values + 1)["value"] - 1) < 1e-9
+    assert abs(correlation_figure(values, -values)["value"] + 1) < 1e-9
+    half = correlation_figure(values, values + noise)
+    assert abs(half["value"] - 0.5**0.5) < 0.05
+    assert abs(half["standard_error"] - 0.5 / 2000**0.5) < 2e-3
+    assert correlation_figure(values, torch.zeros(2000))["value"] == 0
 
 
 def test_standard_error_of_a_normal_median() -> None:
