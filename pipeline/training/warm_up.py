@@ -54,8 +54,9 @@ class Draw(NamedTuple):
     """Of the generators of textures and backgrounds."""
     shape: Float[Tensor, "B K"]
     light: Light
-    paint: Float[Tensor, "2 B 3 1 1"]
-    """Multiplies the colours of textures and of backgrounds."""
+    texture_paint: Float[Tensor, "B 3 1 1"]
+    """Multiplies the colours of textures."""
+    background_paint: Float[Tensor, "B 3 1 1"]
     grain: Float[Tensor, "B 3 H W"]
     """Added to the pictures."""
 
@@ -116,10 +117,11 @@ def _draw(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: t
     noise = scenes.sample_noise(count, rng)
     shape = model.shapes.draw(count, config.shape_spread, rng)
     light = sample_lights(config.light, count, rng)
-    paint = 1 + config.paint * (2 * torch.rand(2, count, 3, 1, 1, generator=rng, device=rng.device) - 1)
+    uniform = torch.rand(2, count, 3, 1, 1, generator=rng, device=rng.device)
+    texture_paint, background_paint = 1 + config.paint * (2 * uniform - 1)
     deviation = config.noise * torch.rand(count, 1, 1, 1, generator=rng, device=rng.device)
     grain = deviation * torch.randn(count, 3, size, size, generator=rng, device=rng.device)
-    return Draw(pose, noise, shape, light, paint, grain)
+    return Draw(pose, noise, shape, light, texture_paint, background_paint, grain)
 
 
 @torch.no_grad()
@@ -127,9 +129,9 @@ def _render(model: FullModel, scenes: SceneGenerator, drawn: Draw) -> Sample:
     vertices = model.shapes(drawn.shape)
     images = render(
         Mesh(vertices, model.faces, model.directions),
-        (drawn.paint[0] * scenes.texture(drawn.noise)).clamp(max=1),
+        (drawn.texture_paint * scenes.texture(drawn.noise)).clamp(max=1),
         model.poses(drawn.pose, vertices),
-        (drawn.paint[1] * scenes.background(drawn.noise)).clamp(max=1),
+        (drawn.background_paint * scenes.background(drawn.noise)).clamp(max=1),
         drawn.light,
         model.config.renderer,
     ).images
