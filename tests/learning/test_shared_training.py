@@ -43,8 +43,13 @@ def test_steps_are_those_of_a_single_process(one: Path, two: Path) -> None:
     shared, _ = load_tensors(two / "0.safetensors")
     assert alone.keys() == shared.keys()
     difference = {name: _difference(name, alone, shared) for name in alone if not WITHOUT_EFFECT.search(name)}
-    assert {name: value for name, value in difference.items() if value > ROUNDING} == {}
+    assert {name: value for name, value in difference.items() if value > _allowed(name)} == {}
     assert alone["near record.visits"].sum() == alone["everything record.visits"].sum() == TRAINING.batch_size
+
+
+def _allowed(name: str) -> float:
+    # Errors of poses are absolute values: where rounding turns the sign of one, gradients of pose networks jump.
+    return 0.03 if "full pose_" in name else ROUNDING
 
 
 def _difference(name: str, alone: dict[str, torch.Tensor], shared: dict[str, torch.Tensor]) -> float:
