@@ -3,6 +3,8 @@
 import json
 import os
 import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
@@ -33,10 +35,20 @@ SEEDS = replace(test_base_shape.CONFIG, seeds=3, iterations=2)
 
 def take_steps(folder: Path) -> None:
     """Take steps of each training and write what every process holds then; learn seeds; train the full model."""
-    state = {**_features(), **_base_shape(), **_warm_up(), **_first_poses(), **_lessons(), **_ends(), **_full()}
+    with double_precision():
+        state = {**_features(), **_base_shape(), **_warm_up(), **_first_poses(), **_lessons(), **_ends(), **_full()}
     save_tensors(folder / f"{world().rank}.safetensors", state, {})
     learn_seeds(folder)
     train(folder, None)
+
+
+@contextmanager
+def double_precision() -> Iterator[None]:
+    """Compute in float64 what is float32 otherwise, so that rounding is far below what a wrong share would change."""
+    torch.set_default_dtype(torch.float64)
+    with patch.object(Tensor, "float", Tensor.double):
+        yield
+    torch.set_default_dtype(torch.float32)
 
 
 def learn_seeds(folder: Path) -> None:

@@ -51,6 +51,15 @@ def test_a_head_that_sees_either_end_answers_with_one_of_them() -> None:
     assert abs(turn @ wanted[0, :2]) > math.cos(math.radians(5))
 
 
+def test_a_head_that_is_compared_with_itself_learns_nothing() -> None:
+    torch.manual_seed(0)
+    said = PoseDecoder(code_size=4, hidden_size=8, ensemble=1)(torch.randn(200, 4))
+    own = POSES.clamp(said.coordinates).detach()
+    of_axis, of_others = torch.autograd.grad(200 * regression_error(said, own), [said.axis, said.others])
+    assert of_axis.norm(dim=-1).max() < 1e-4
+    assert not of_others.any()
+
+
 def test_gradients_flow_to_axis_and_others() -> None:
     said = torch.randn(20, 9, generator=generator(3)).requires_grad_()
     PoseRegression(*said.split([2, 2, 5], dim=1)).coordinates.square().cumsum(1).sum().backward()
