@@ -46,9 +46,11 @@ def take_steps(folder: Path) -> None:
 def double_precision() -> Iterator[None]:
     """Compute in float64 what is float32 otherwise, so that rounding is far below what a wrong share would change."""
     torch.set_default_dtype(torch.float64)
-    with patch.object(Tensor, "float", Tensor.double):
-        yield
-    torch.set_default_dtype(torch.float32)
+    try:
+        with patch.object(Tensor, "float", Tensor.double):
+            yield
+    finally:
+        torch.set_default_dtype(torch.float32)
 
 
 def learn_seeds(folder: Path) -> None:

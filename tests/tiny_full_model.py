@@ -27,7 +27,7 @@ from pipeline.networks.wide_resnet import WideResNet
 from pipeline.rendering.renderer import Mesh, RendererConfig
 from pipeline.seeding import generator, initialised
 from pipeline.training.azimuths import ConsensusConfig
-from pipeline.training.exploration import ExplorationConfig
+from pipeline.training.exploration import ExplorationConfig, ShapeSearchConfig
 from pipeline.training.first_poses import FirstPosesConfig
 from pipeline.training.full_losses import LossConfig
 from pipeline.training.full_trainer import EllipsoidConfig, FullTrainingConfig
@@ -35,10 +35,13 @@ from pipeline.training.lessons import LessonsConfig
 from pipeline.training.viewpoints import LightConfig
 from pipeline.training.warm_up import WarmUpConfig
 
+CHANNELS = 3 + 16 + 32 + 64
+"""Of the tiny extractor's maps."""
 MODEL = FullModelConfig(
     two_stage=True,
     framing="free",
     encoder=EncoderConfig("wide_resnet", 8, 1),
+    shapes_from="features",
     code_size=16,
     texture_code_size=4,
     hidden_size=16,
@@ -60,13 +63,42 @@ TRAINING = FullTrainingConfig(
     photographs_per_iteration=2.0,
     model=MODEL,
     ellipsoid=EllipsoidConfig((0.5, 0.5, 1.0), 2),
-    warm_up=WarmUpConfig(2, 4, 1e-3, (0.9, 0.99), LightConfig(0.5, 0.5), 0.3, 0.3, 0.1),
+    warm_up=WarmUpConfig(
+        iterations=2,
+        batch_size=4,
+        learning_rate=1e-3,
+        betas=(0.9, 0.99),
+        light=LightConfig(0.5, 0.5),
+        shape_spread=0.3,
+        paint=0.3,
+        noise=0.1,
+    ),
     first_poses=FirstPosesConfig(8, 0.5, 0.1, 0.85, 1.0, 20.0, ConsensusConfig(1, 0.4, 4, 0.3, 0.3, 2, 3.0), 100),
     lessons=LessonsConfig(2, 4, 1e-3, (0.9, 0.99)),
     ends=None,
     settle=0.5,
-    exploration=ExplorationConfig((0.1, 1.0, 2.0), 1, 2, 3, 2, 1, 1, (0.02, 0.2), (0.02, 0.2), 0.5, 180.0),
-    loss=LossConfig(0.5, 0.1, 1.0, 1.0, 1.0, 1.0, 0.1, 0.1, SmoothnessConfig(1.0, 0.0, 0.0, 0.01, 0.0, 0.0)),
+    exploration=ExplorationConfig(
+        map_weights=(0.1, 1.0, 2.0),
+        random_poses=1,
+        turned_poses=2,
+        flipped_poses=3,
+        perturbed_poses=2,
+        shapes=ShapeSearchConfig(random=1, perturbed=1, step=(0.02, 0.2), spread=0.5),
+        pose_step=(0.02, 0.2),
+        azimuth_reach=180.0,
+    ),
+    loss=LossConfig(
+        deepest_map=0.5,
+        feature_matching=0.1,
+        pose_regression=1.0,
+        mirrored_regression=1.0,
+        rendered_regression=1.0,
+        shape_regression=1.0,
+        rendered_shape_regression=1.0,
+        total_variation=0.1,
+        view_prior=0.1,
+        smoothness=SmoothnessConfig(1.0, 0.0, 0.0, 0.01, 0.0, 0.0),
+    ),
     discriminator_width=4,
     curve_every=2,
     checkpoint_every=2,
@@ -83,7 +115,12 @@ def base_mesh() -> Mesh:
 def tiny_model(**changes: object) -> FullModel:
     """Build the tiny model, with some entries of its config replaced."""
     with initialised(0):
-        return FullModel(replace(MODEL, **changes), base_mesh(), torch.float32)
+        return FullModel(replace(MODEL, **changes), base_mesh(), torch.float32, CHANNELS)
+
+
+def inferred(model: FullModel, images: Float[Tensor, "B 3 32 32"]) -> Reconstruction:
+    """Return what a tiny model in evaluation mode reads off photographs and their features."""
+    return model.eval().infer(images, tiny_extractor()(images))
 
 
 def tiny_extractor() -> FeatureExtractor:

@@ -2,7 +2,7 @@
 
 import hashlib
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -29,7 +29,7 @@ from pipeline.export.seam import unwrap
 from pipeline.export.views import on_white, render_textured
 from pipeline.files import read_json, sha256, write_json
 from pipeline.geometry.camera import Pose, pose_from_tensor
-from pipeline.networks.feature_extractor import FeatureExtractor, load_feature_extractor
+from pipeline.networks.feature_extractor import FeatureExtractor, extract, load_feature_extractor
 from pipeline.networks.full_model import FullModel, load_full_model
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.fine_tune import FineTuneConfig, fine_tune
@@ -69,11 +69,16 @@ def reconstruct(
     config = load(run.params, FineTuneConfig, ["fine_tune", f"sizes.{run.size}.fine_tune"])
     fit = load(run.params, PrepareConfig, ["prepare_data", f"datasets.{run.dataset}"]).fit
     report = load(run.params, ReportConfig, ["report"])
-    settings = repr([fit, report, *([config, sha256(run.features)] if tuned else [])])
+    settings = repr([fit, report, sha256(run.features), *([config] if tuned else [])])
     way = {"model": sha256(run.model), "fine_tune": tuned, "settings": hashlib.sha256(settings.encode()).hexdigest()}
     _require_same_way(out, way)
     waiting = [task for task in tasks if not task.done(outputs)]
-    find = _fine_tuning(run, model, config, device) if tuned else partial(_inferred, model=model)
+    extractor = load_feature_extractor(run.features, device, resolve_precision(scalar(run.params, "precision"), device))
+    find = (
+        partial(_fine_tuned, model=model, extractor=extractor, config=replace(config, photographs=None))
+        if tuned
+        else partial(_inferred, model=model, extractor=extractor)
+    )
     failures: list[str] = []
     with tqdm(total=len(waiting), desc="reconstructing", unit="photograph", disable=None) as progress:
         for start in range(0, len(waiting), config.batch_size):
@@ -107,17 +112,10 @@ def _read(
 
 
 @torch.no_grad()
-def _inferred(images: UInt8[Tensor, "B 3 H W"], model: FullModel) -> Found:
-    scene = model.infer(images.float() / 255)
+def _inferred(images: UInt8[Tensor, "B 3 H W"], model: FullModel, extractor: FeatureExtractor) -> Found:
+    features = [layer.float() for layer in extract(extractor, images, len(images))]
+    scene = model.infer(images.float() / 255, features)
     return Found(scene.vertices.cpu(), scene.texture_maps.cpu(), _cpu(scene.pose), model.render(scene).cpu())
-
-
-def _fine_tuning(
-    run: Run, model: FullModel, config: FineTuneConfig, device: torch.device
-) -> Callable[[UInt8[Tensor, "B 3 H W"]], Found]:
-    precision = resolve_precision(scalar(run.params, "precision"), device)
-    extractor = load_feature_extractor(run.features, device, precision)
-    return partial(_fine_tuned, model=model, extractor=extractor, config=replace(config, photographs=None))
 
 
 def _fine_tuned(

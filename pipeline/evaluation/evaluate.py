@@ -15,7 +15,7 @@ from pipeline.evaluation.image_metrics import image_columns, image_figures
 from pipeline.evaluation.multiview import MultiviewConfig
 from pipeline.evaluation.pose_metrics import baseline_figures, pose_columns, pose_figures
 from pipeline.evaluation.retrieval import retrieve
-from pipeline.evaluation.shape import iou, shape_spread
+from pipeline.evaluation.shape import iou, vertex_deviation
 from pipeline.evaluation.shape_metrics import ShapeMetricsConfig, TrueShapes, silhouettes
 from pipeline.evaluation.statistics import Figure, mean_figure
 from pipeline.geometry.camera import Pose
@@ -81,10 +81,10 @@ def evaluate_images(
     }
     table = {"test_index": reconstructions.test_index, **_flatten(columns)}
     retrieved = image_columns(photographs, retrieve(photographs, training), extractor, config.batch_size)
-    spread = {stage: mean_figure(shape_spread(getattr(reconstructions, stage).vertices)) for stage in STAGES}
+    spread = {stage: mean_figure(vertex_deviation(getattr(reconstructions, stage).vertices)) for stage in STAGES}
     figures = {
         "reconstruction": image_figures(columns["predicted"], columns["tuned"], retrieved),
-        "shape_spread": spread,
+        "vertex_deviation": spread,
     }
     return figures, table
 

@@ -15,7 +15,7 @@ def iou(first: Bool[Tensor, "B *grid"], second: Bool[Tensor, "B *grid"]) -> Floa
     return torch.where(union > 0, (first & second).sum(1) / union.clamp_min(1), 1.0)
 
 
-def shape_spread(vertices: Float[Tensor, "B V 3"]) -> Float[Tensor, " B"]:
+def vertex_deviation(vertices: Float[Tensor, "B V 3"]) -> Float[Tensor, " B"]:
     """Measure how much deformations of one mesh differ: the mean distance of vertices from their means over the batch.
 
     In units of the vertices. All zeros: every picture has got the same shape.

@@ -19,7 +19,7 @@ COLUMNS = {
     "poses, constant": ("pose.constant.acc_pi6", 3),
     "base IoU": ("shape.base.voxel_iou", 3),
     "shape IoU": ("shape.test.voxel_iou", 3),
-    "shapes differ by": ("shape_spread.predicted", 3),
+    "shapes differ by": ("vertex_deviation.predicted", 3),
     "mask IoU": ("shape.test.mask_iou", 3),
     "mask IoU, fine-tuned": ("shape.test_tuned.mask_iou", 3),
     "feature distance": ("reconstruction.predicted.feature_distance", 2),

@@ -8,13 +8,13 @@ from pipeline.distributed import average
 from pipeline.losses.image_distance import Features, feature_distance
 
 
-def feature_matching(real: Features, generated: Features, deepest: float = 1.0) -> Float[Tensor, ""]:
+def feature_matching(real: Features, generated: Features) -> Float[Tensor, ""]:
     """Measure how far the mean feature maps of two batches are apart (eq. 2), summed over the feature maps.
 
-    The last map's share is multiplied by `deepest`. The batches may differ in size. Of each a process gives its share,
-    or the whole; what counts are the means over all processes. Gradients flow to both.
+    The batches may differ in size. Of each a process gives its share, or the whole; what counts are the means over all
+    processes. Gradients flow to both.
     """
-    return feature_distance(_means(real), _means(generated), deepest).squeeze(0)
+    return feature_distance(_means(real), _means(generated)).squeeze(0)
 
 
 def _means(features: Features) -> list[Float[Tensor, "1 _ _ _"]]:

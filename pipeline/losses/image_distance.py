@@ -10,18 +10,17 @@ from torch import Tensor
 Features = Sequence[Float[Tensor, "_ _ _ _"]]
 
 
-def feature_distance(first: Features, second: Features, deepest: float = 1.0) -> Float[Tensor, " B"]:
+def feature_distance(first: Features, second: Features) -> Float[Tensor, " B"]:
     """Measure how far pictures are apart, pair by pair: eq. 1 summed over the feature maps.
 
-    A map's share is the Euclidean norm over channels of the difference, averaged over positions; the last map's is
-    multiplied by `deepest`. Gradients flow to both arguments; where two features are equal the gradient is zero. Lower
-    precisions are taken as float32.
+    A map's share is the Euclidean norm over channels of the difference, averaged over positions. Gradients flow to
+    both arguments; where two features are equal the gradient is zero. Lower precisions are taken as float32.
     """
     shares = [
         _NormOfDifference.apply(_positions_last(a), _positions_last(b)).mean(dim=1)
         for a, b in zip(first, second, strict=True)
     ]
-    return torch.stack([*shares[:-1], deepest * shares[-1]]).sum(dim=0)
+    return torch.stack(shares).sum(dim=0)
 
 
 class _NormOfDifference(torch.autograd.Function):

@@ -1,5 +1,6 @@
 """Image encoders of the full model."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Literal
@@ -12,7 +13,10 @@ from torch import Tensor, nn
 NORMALIZATION_GROUPS = 8
 CODE_NORM = 2.0
 LEAST_COLOR_VARIANCE = 1e-4
-"""That of rounding and noise: whitening does not magnify what varies less."""
+"""A deviation of .01, 2.5 grey levels: whitening does not magnify what varies less."""
+LEAST_FEATURE_DEVIATION = 1e-3
+
+Features = Sequence[Float[Tensor, "_ _ _ _"]]
 
 
 @dataclass(frozen=True)
@@ -94,7 +98,7 @@ class Encoder(nn.Module):
 
     @torch.no_grad()
     def whiten(self, images: Float[Tensor, "B 3 H W"]) -> None:
-        """Mix colour channels so that over these images they are uncorrelated, with mean 0 and deviation 1.
+        """Mix colour channels so that over these images they are uncorrelated, with mean 0 and deviation 1 or less.
 
         Hue varies a few times less than brightness, and a network learns last what varies least.
         """
@@ -110,10 +114,43 @@ class Encoder(nn.Module):
         Codes then have a root mean square norm of `CODE_NORM`, and decoders hear from the first step on how photographs
         differ and not what they have in common.
         """
-        codes = self(images)
-        mean, scale = codes.mean(dim=0), CODE_NORM / len(self.project.bias) ** 0.5 / codes.std(dim=0).clamp(min=1e-6)
-        self.project.weight *= scale[:, None]
-        self.project.bias.copy_((self.project.bias - mean) * scale)
+        _standardize(self.project, self(images))
+
+
+class FeatureEncoder(nn.Module):
+    """Map the feature maps of photographs to codes by one linear layer, which learns from few pictures."""
+
+    mean: Tensor
+    deviation: Tensor
+
+    def __init__(self, channels: int, code_size: int) -> None:
+        """Take how many channels all maps have together."""
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(channels * 16))
+        self.register_buffer("deviation", torch.ones(channels * 16))
+        self.project = nn.Linear(channels * 16, code_size)
+
+    def forward(self, features: Features) -> Float[Tensor, "B K"]:
+        """Return the codes of photographs with these features; pooling to 4x4 keeps where things are."""
+        return self.project((_pooled(features) - self.mean) / self.deviation)
+
+    @torch.no_grad()
+    def standardize(self, features: Features) -> None:
+        """Let every pooled feature and every entry of the code have mean 0 and one deviation over these photographs."""
+        deviation, mean = torch.std_mean(_pooled(features), dim=0)
+        self.mean.copy_(mean)
+        self.deviation.copy_(deviation.clamp(min=LEAST_FEATURE_DEVIATION))
+        _standardize(self.project, self(features))
+
+
+def _pooled(features: Features) -> Float[Tensor, "B pooled"]:
+    return torch.cat([functional.adaptive_avg_pool2d(layer.float(), 4).flatten(1) for layer in features], dim=1)
+
+
+def _standardize(projection: nn.Linear, codes: Float[Tensor, "B K"]) -> None:
+    mean, scale = codes.mean(dim=0), CODE_NORM / codes.shape[1] ** 0.5 / codes.std(dim=0).clamp(min=1e-6)
+    projection.weight *= scale[:, None]
+    projection.bias.copy_((projection.bias - mean) * scale)
 
 
 def _group(channels_in: int, channels_out: int, blocks: int, stride: int) -> nn.Sequential:

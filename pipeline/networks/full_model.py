@@ -3,7 +3,7 @@
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from pipeline.config import from_json
 from pipeline.files import load_tensors
 from pipeline.geometry.camera import Pose
-from pipeline.networks.encoders import Encoder, EncoderConfig
+from pipeline.networks.encoders import Encoder, EncoderConfig, FeatureEncoder, Features
 from pipeline.networks.generators import ImageBackgroundGenerator, StripesGenerator, TextureGenerator
 from pipeline.networks.pose_coordinates import Framing, PoseCoordinates, PoseRange
 from pipeline.networks.pose_decoder import PoseDecoder, PoseRegression
@@ -43,6 +43,8 @@ class FullModelConfig:
     framing: Framing
     """`box` lets the object fill each rendering, like photographs cut to their boxes; `free` leaves it where it is."""
     encoder: EncoderConfig
+    shapes_from: Literal["photographs", "features"]
+    """What shapes are read off: photographs by an encoder (paper 3.2), or their feature maps by a linear layer."""
     code_size: int
     """Size of the codes of shape, pose and background."""
     texture_code_size: int
@@ -80,10 +82,10 @@ class FullModel(nn.Module):
     faces: Int[Tensor, "F 3"]
     directions: Float[Tensor, "V 3"]
 
-    def __init__(self, config: FullModelConfig, base: Mesh, precision: torch.dtype) -> None:
+    def __init__(self, config: FullModelConfig, base: Mesh, precision: torch.dtype, channels: int) -> None:
         """Build the networks around a base mesh of batch size one: the base shape or the initial ellipsoid.
 
-        `precision` is the encoders'.
+        `precision` is the encoders', `channels` the number of those of all feature maps.
         """
         super().__init__()
         self.config = config
@@ -97,7 +99,11 @@ class FullModel(nn.Module):
             else OffsetShapes(base.vertices[0], shape.offset_reach, shape.mirror)
         )
         self.poses = PoseCoordinates(config.pose_range, config.renderer.camera, config.framing == "box")
-        self.shape_encoder = Encoder(config.encoder, code, precision)
+        self.shape_encoder = (
+            FeatureEncoder(channels, code)
+            if config.shapes_from == "features"
+            else Encoder(config.encoder, code, precision)
+        )
         self.pose_encoder = Encoder(config.encoder, code, precision)
         self.texture_encoder = Encoder(config.encoder, config.texture_code_size, precision)
         self.background_encoder = Encoder(config.encoder, code, precision)
@@ -112,23 +118,34 @@ class FullModel(nn.Module):
             else ImageBackgroundGenerator(code, config.texture_channels, config.renderer.size)
         )
 
-    def standardize(self, images: Float[Tensor, "B 3 H W"]) -> None:
-        """Whiten the texture encoder's colours and all encoders' codes over these photographs, before training.
+    def standardize(self, images: Float[Tensor, "B 3 H W"], features: Features) -> None:
+        """Whiten the texture encoder's colours and rescale all codes over these photographs, before training.
 
-        Codes are only rescaled: to mean 0 and one size.
+        Codes get mean 0 and one size. Colours are the textures' alone: shapes and poses show in brightness.
         """
         self.texture_encoder.whiten(images)
         for encoder in (self.shape_encoder, self.pose_encoder, self.texture_encoder, self.background_encoder):
-            encoder.standardize(images)
+            if isinstance(encoder, FeatureEncoder):
+                encoder.standardize(features)
+            else:
+                encoder.standardize(images)
 
     @torch.no_grad()
-    def infer(self, images: Float[Tensor, "B 3 H W"]) -> Reconstruction:
-        """Reconstruct photographs in [0, 1] in the poses it reads off them. Put the model into evaluation mode."""
-        vertices = self.shapes(self.shape_decoder(self.shape_encoder(images)))
+    def infer(self, images: Float[Tensor, "B 3 H W"], features: Features) -> Reconstruction:
+        """Reconstruct photographs in [0, 1], which have these features, in the poses it reads off them.
+
+        Put the model into evaluation mode.
+        """
+        vertices = self.shapes(self.read_shapes(images, features))
         pose = self.poses(self.read_poses(images), vertices)
         texture_maps = self.texture_decoder(self.texture_encoder(images))
         backgrounds = self.background_decoder(self.background_encoder(images))
         return Reconstruction(vertices, texture_maps, pose, backgrounds)
+
+    def read_shapes(self, images: Float[Tensor, "B 3 H W"], features: Features) -> Float[Tensor, "B K"]:
+        """Return the shape parameters it reads off photographs in [0, 1] or off their features."""
+        seen = features if isinstance(self.shape_encoder, FeatureEncoder) else images
+        return self.shape_decoder(self.shape_encoder(seen))
 
     @torch.no_grad()
     def read_poses(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 7"]:
@@ -159,6 +176,6 @@ def load_full_model(path: Path, device: torch.device) -> FullModel:
     tensors, texts = load_tensors(path)
     config = from_json(texts["config"], FullModelConfig, path)
     base = Mesh(tensors["base_vertices"][None], tensors["faces"], tensors["directions"])
-    model = FullModel(config, base, torch.float32)
+    model = FullModel(config, base, torch.float32, tensors["shape_encoder.project.weight"].shape[1] // 16)
     model.load_state_dict({name: tensors[name] for name in model.state_dict()})
     return model.to(device).eval()

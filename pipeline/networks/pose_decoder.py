@@ -10,8 +10,8 @@ from torch.nn import functional
 from pipeline.device import constant
 from pipeline.networks.pose_coordinates import POSE_COORDINATES, PoseCoordinates
 
-_ROUNDED = 0.1
-"""Chord of the axis, three degrees of azimuth, below which its error is squared."""
+_QUADRATIC = 0.1
+"""Chord of the axis, three degrees of azimuth, below which its error is about quadratic."""
 
 
 class PoseRegression(NamedTuple):
@@ -71,13 +71,14 @@ def regression_error(regression: PoseRegression, coordinates: Float[Tensor, "*B 
     """Compare what heads say with pose coordinates: return the mean error of one, the azimuth's two as axis and as end.
 
     The axis' error is the chord between the directions, which has no minimum but the right one (absolute errors of
-    cosine and sine have), rounded off near zero: a head that won is compared with itself but for rounding, along which
-    a chord would pull it with full force. The end's is squared, so that its best answer is the mean of what may be.
+    cosine and sine have), quadratic near zero: a head that won is compared with itself up to rounding, along which
+    the chord itself would pull it with full force. The end's is squared, so that its best answer is the
+    mean of what may be.
     """
     turn, others = coordinates[..., :2], coordinates[..., 2:]
     cosine, sine = turn.unbind(-1)
     axis = torch.stack([cosine**2 - sine**2, 2 * cosine * sine], dim=-1)
-    of_axis = ((regression.axis - axis).square().sum(dim=-1) + _ROUNDED**2).sqrt().mean() - _ROUNDED
+    of_axis = ((regression.axis - axis).square().sum(dim=-1) + _QUADRATIC**2).sqrt().mean() - _QUADRATIC
     of_end = (regression.end - turn).square().mean()
     return (2 * of_axis + 2 * of_end + 5 * (regression.others - others).abs().mean()) / 7
 

@@ -23,7 +23,7 @@ class FreeFormShapes(nn.Module):
     base_vertices: Tensor
     weights: Tensor
     mirrored_points: Tensor
-    smoothing: Tensor
+    correlation_root: Tensor
 
     def __init__(
         self, base_vertices: Float[Tensor, "V 3"], grid_reach: float, dimension_reach: float, mirror: bool
@@ -36,8 +36,9 @@ class FreeFormShapes(nn.Module):
         self.register_buffer("base_vertices", base_vertices, persistent=False)
         self.register_buffer("weights", control_point_weights(base_vertices), persistent=False)
         self.register_buffer("mirrored_points", mirror_index(grid), persistent=False)
-        correlation = (-torch.cdist(3 * grid, 3 * grid).square() / 2).exp() + 1e-4 * torch.eye(CONTROL_POINTS)
-        self.register_buffer("smoothing", torch.linalg.cholesky(correlation), persistent=False)
+        correlation = (-torch.cdist(3 * grid, 3 * grid).square() / 2).exp()
+        positive = correlation + 1e-4 * torch.eye(CONTROL_POINTS)  # in spite of rounding
+        self.register_buffer("correlation_root", torch.linalg.cholesky(positive), persistent=False)
 
     def forward(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
         """Return the deformed vertices, scaled into the unit cube. Gradients flow to the parameters."""
@@ -50,11 +51,11 @@ class FreeFormShapes(nn.Module):
     def draw(self, count: int, spread: float, rng: torch.Generator) -> Float[Tensor, "B K"]:
         """Draw parameters from a normal distribution around the base shape.
 
-        Offsets of neighbouring control points are correlated: independent ones cancel each other, so that the shape
-        hardly changes and nobody can see from a picture what was drawn.
+        Offsets of control points d steps of the grid apart are correlated by exp(-d^2/2): independent ones cancel each
+        other, so that the shape hardly changes and nobody can see from a picture what was drawn.
         """
         normal = torch.randn(count, self.parameter_count, generator=rng, device=rng.device)
-        offsets = self.smoothing @ normal[:, :-3].unflatten(1, (CONTROL_POINTS, 3))
+        offsets = self.correlation_root @ normal[:, :-3].unflatten(1, (CONTROL_POINTS, 3))
         return spread * torch.cat([offsets.flatten(1), normal[:, -3:]], 1)
 
 
@@ -83,7 +84,7 @@ class OffsetShapes(nn.Module):
         return fit_unit_cube(self.base_vertices + offsets)
 
     def draw(self, count: int, spread: float, rng: torch.Generator) -> Float[Tensor, "B K"]:
-        """Draw parameters that stretch the ellipsoid along the three axes by normal amounts."""
+        """Draw parameters that stretch the ellipsoid along the three axes by normal parts of its dimensions."""
         stretch = spread * torch.randn(count, 1, 3, generator=rng, device=rng.device)
         return (stretch * self.base_vertices / self.reach).flatten(1)
 

@@ -32,6 +32,23 @@ FIRST_HEAD = 2
 
 
 @dataclass(frozen=True)
+class ShapeSearchConfig:
+    """How many shapes a photograph gets in one iteration, and how far they lie from its record.
+
+    Sizes are those of the shape space's `draw`.
+    """
+
+    random: int
+    """Drawn around the base shape."""
+    perturbed: int
+    """Drawn around the recorded shape."""
+    step: tuple[float, float]
+    """Smallest and largest size of a perturbation; drawn log-uniformly."""
+    spread: float
+    """Of random shapes."""
+
+
+@dataclass(frozen=True)
 class ExplorationConfig:
     """How many candidates of each kind a photograph gets in one iteration, and how far they lie from its record."""
 
@@ -48,16 +65,10 @@ class ExplorationConfig:
     """
     perturbed_poses: int
     """Near the recorded pose."""
-    random_shapes: int
-    """Without random and perturbed ones no shape is searched for: the estimated one is the best, and always learns."""
-    perturbed_shapes: int
-    """Near the recorded shape."""
+    shapes: ShapeSearchConfig | None
+    """None searches for no shapes: the estimated one is the best, and always learns."""
     pose_step: tuple[float, float]
     """Smallest and largest standard deviation of a perturbation, in pose coordinates; drawn log-uniformly."""
-    shape_step: tuple[float, float]
-    """The same in shape parameters."""
-    shape_spread: float
-    """Standard deviation of random shapes around the base shape, in shape parameters."""
     azimuth_reach: float
     """Largest angle, in degrees, between the azimuths of a winner and of the record; 180 admits all."""
 
@@ -74,7 +85,7 @@ class Record(NamedTuple):
     pose: Float[Tensor, "N 7"]
     """Pose coordinates, see `PoseCoordinates`."""
     shape: Float[Tensor, "N K"]
-    """Shape parameters."""
+    """Shape parameters; the last estimate where no shapes are searched for."""
 
     def rows(self, index: Int[Tensor, " B"]) -> "Record":
         """Return the record of some photographs."""
@@ -127,13 +138,13 @@ def candidates(
         ]
     )
     poses = model.poses.clamp(poses)
-    if config.random_shapes + config.perturbed_shapes == 0:
+    if config.shapes is None:
         return poses, estimate.shape.expand(len(poses), -1, -1)
     shapes = torch.cat(
         [
             estimate.shape[None],
-            _near_shapes(model, record.shape, config, rng),
-            _random_shapes(model, batch, config, rng),
+            _near_shapes(model, record.shape, config.shapes, rng),
+            _random_shapes(model, batch, config.shapes, rng),
         ]
     )
     pose_count, shape_count = len(poses), len(shapes)
@@ -225,22 +236,22 @@ def flipped(pose: Float[Tensor, "B 7"], count: int) -> Float[Tensor, "count B 7"
 def _near_poses(
     recorded: Float[Tensor, "B 7"], config: ExplorationConfig, rng: torch.Generator
 ) -> Float[Tensor, "count B 7"]:
-    shape = (config.perturbed_poses, whole(len(recorded)))
-    size = _sizes(shape, config.pose_step, rng)
-    return recorded + share(size * torch.randn(*shape, 7, generator=rng, device=rng.device), dim=1)
+    rows = (config.perturbed_poses, whole(len(recorded)))
+    size = _sizes(rows, config.pose_step, rng)
+    return recorded + share(size * torch.randn(*rows, 7, generator=rng, device=rng.device), dim=1)
 
 
 def _near_shapes(
-    model: FullModel, recorded: Float[Tensor, "B K"], config: ExplorationConfig, rng: torch.Generator
+    model: FullModel, recorded: Float[Tensor, "B K"], config: ShapeSearchConfig, rng: torch.Generator
 ) -> Float[Tensor, "count B K"]:
-    shape = (config.perturbed_shapes, whole(len(recorded)))
-    size = _sizes(shape, config.shape_step, rng)
-    return recorded + share(size * model.shapes.draw(math.prod(shape), 1.0, rng).unflatten(0, shape), dim=1)
+    rows = (config.perturbed, whole(len(recorded)))
+    size = _sizes(rows, config.step, rng)
+    return recorded + share(size * model.shapes.draw(math.prod(rows), 1.0, rng).unflatten(0, rows), dim=1)
 
 
-def _sizes(shape: tuple[int, int], step: tuple[float, float], rng: torch.Generator) -> Float[Tensor, "count B 1"]:
+def _sizes(rows: tuple[int, int], step: tuple[float, float], rng: torch.Generator) -> Float[Tensor, "count B 1"]:
     smallest, largest = step
-    return smallest * (largest / smallest) ** torch.rand(*shape, 1, generator=rng, device=rng.device)
+    return smallest * (largest / smallest) ** torch.rand(*rows, 1, generator=rng, device=rng.device)
 
 
 def _turned(recorded: Float[Tensor, "B 7"], count: int, rng: torch.Generator) -> Float[Tensor, "count B 7"]:
@@ -256,6 +267,6 @@ def _random_poses(model: FullModel, batch: int, config: ExplorationConfig, rng: 
     return share(drawn.unflatten(0, (config.random_poses, whole(batch))), dim=1)
 
 
-def _random_shapes(model: FullModel, batch: int, config: ExplorationConfig, rng: torch.Generator) -> Tensor:
-    drawn = model.shapes.draw(config.random_shapes * whole(batch), config.shape_spread, rng)
-    return share(drawn.unflatten(0, (config.random_shapes, whole(batch))), dim=1)
+def _random_shapes(model: FullModel, batch: int, config: ShapeSearchConfig, rng: torch.Generator) -> Tensor:
+    drawn = model.shapes.draw(config.random * whole(batch), config.spread, rng)
+    return share(drawn.unflatten(0, (config.random, whole(batch))), dim=1)

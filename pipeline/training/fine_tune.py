@@ -10,7 +10,7 @@ from tqdm import tqdm
 
 from pipeline.datasets.images import Images
 from pipeline.geometry.camera import pose_to_tensor
-from pipeline.losses.image_distance import feature_distance
+from pipeline.losses.image_distance import Features, feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.training.checkpoint import Checkpoint
@@ -48,14 +48,14 @@ class FineTuneConfig:
 class Outputs:
     """Hold what the networks predict for a batch of photographs, in the form in which it is tuned."""
 
-    def __init__(self, model: FullModel, images: Float[Tensor, "B 3 H W"]) -> None:
+    def __init__(self, model: FullModel, images: Float[Tensor, "B 3 H W"], features: Features) -> None:
         self.model = model
         with torch.no_grad():
             self.heads = model.pose_decoder.ensemble(model.pose_encoder(images)).coordinates
             self.values = {
                 "background": model.background_encoder(images),
                 "pose": model.read_poses(images),
-                "shape": model.shape_decoder(model.shape_encoder(images)),
+                "shape": model.read_shapes(images, features),
             }
             self.texture_maps = model.texture_decoder(model.texture_encoder(images))
 
@@ -146,7 +146,7 @@ def _fine_tune_batch(
         rendered = comparable(extractor(model.render(reconstruction), len(config.map_weights)), config.map_weights)
         return feature_distance(comparable(features, config.map_weights), rendered)
 
-    outputs = Outputs(model, images.float() / 255)
+    outputs = Outputs(model, images.float() / 255, features)
     results, first = _describe(outputs, loss, "predicted"), outputs.values.copy()
     choose_start(outputs, distance, config.flipped_poses)
     for name, phase in (("background", config.background), ("pose", config.pose), ("shape", config.shape)):

@@ -25,8 +25,8 @@ class LossConfig:
     """Weights of the terms; the reconstruction term's is 1."""
 
     deepest_map: float
-    """Of the deepest feature map among the maps; the paper's is 1. A network that names things is against objects of
-    rare colours there, and leaves them without (docs/decisions.md)."""
+    """Of the deepest feature map among the maps of the first two terms; the paper's is 1. A network that names things
+    is against objects of rare colours there, and leaves them without (docs/decisions.md). Fine-tuning's is 1."""
     feature_matching: float
     pose_regression: float
     mirrored_regression: float
@@ -34,7 +34,9 @@ class LossConfig:
     rendered_regression: float
     """Of poses in the random views that are rendered for view prior learning, which are known."""
     shape_regression: float
-    """Of vertices, in units of the cube."""
+    """Of vertices, in units of the cube; 0 where no shapes are searched for, because the estimated one is the best."""
+    rendered_shape_regression: float
+    """The same in the random views, whose shapes are known: what a view does not show is read as it mostly is."""
     total_variation: float
     view_prior: float
     smoothness: SmoothnessConfig
@@ -62,13 +64,14 @@ class FullLoss:
         vertices = model.shapes(best.record.shape)
         pose = model.poses(best.record.pose, vertices)
         images = model.render(Reconstruction(vertices, estimate.texture_maps, pose, estimate.backgrounds))
-        features = self.extractor(images)
+        features = _weighed(self.extractor(images), config.deepest_map)
+        photographs = _weighed(photographs, config.deepest_map)
         terms = {
-            "reconstruction": feature_distance(photographs, features, config.deepest_map).mean(),
-            "feature_matching": feature_matching(photographs, features, config.deepest_map),
+            "reconstruction": feature_distance(photographs, features).mean(),
+            "feature_matching": feature_matching(photographs, features),
             "pose_regression": pose_regression(estimate, best),
             "mirrored_regression": self.mirrored_regression(estimate, best),
-            "shape_regression": self.shape_regression(estimate, vertices),
+            "shape_regression": self.shape_regression(estimate.shape, vertices),
             "total_variation": total_variation(estimate.texture_maps),
             **self.other_views(vertices, estimate, best.record.pose, images, rng),
         }
@@ -79,6 +82,7 @@ class FullLoss:
             + config.mirrored_regression * terms["mirrored_regression"]
             + config.rendered_regression * terms["rendered_regression"]
             + config.shape_regression * terms["shape_regression"]
+            + config.rendered_shape_regression * terms["rendered_shape_regression"]
             + config.total_variation * terms["total_variation"]
             + config.view_prior * terms["view_prior"]
         )
@@ -91,12 +95,12 @@ class FullLoss:
         """Return the student's error on the photographs' mirror images."""
         return regression_error(estimate.mirrored, self.model.poses.mirror(best.record.pose.detach()))
 
-    def shape_regression(self, estimate: Estimate, vertices: Float[Tensor, "B V 3"]) -> Float[Tensor, ""]:
-        """Return the mean absolute error of the estimated shapes' vertices to those of the best shapes (term 2).
+    def shape_regression(self, shape: Float[Tensor, "B K"], vertices: Float[Tensor, "B V 3"]) -> Float[Tensor, ""]:
+        """Return the mean absolute error of the estimated shapes' vertices to the best or known ones (term 2).
 
         Of vertices rather than parameters, many of which move next to nothing.
         """
-        return (self.model.shapes(estimate.shape) - vertices.detach()).abs().mean()
+        return (self.model.shapes(shape) - vertices.detach()).abs().mean()
 
     def other_views(
         self,
@@ -106,12 +110,12 @@ class FullLoss:
         images: Float[Tensor, "B 3 H W"],
         rng: torch.Generator,
     ) -> dict[str, Float[Tensor, ""]]:
-        """Render the same objects from random views; return the view prior loss (term 4) and the student's pose error.
+        """Render the same objects from random views; return the view prior loss (term 4), and errors of what is read.
 
         Azimuth and elevation alone are redrawn: where the object stands in the picture says nothing about how it looks.
         The discriminator descends on its loss. What the renderings are made of ascends: textures and backgrounds and,
-        where the networks' own estimates are the best found, shapes and, in the estimated view, poses. The student's
-        error trains the pose networks alone.
+        where the networks' own estimates are the best found, shapes and, in the estimated view, poses. The errors of
+        the student's pose and of the shape train the networks that read them alone.
         """
         model = self.model
         drawn = share(model.poses.draw(whole(len(images)), rng))
@@ -122,9 +126,13 @@ class FullLoss:
         views = torch.cat([pose.detach(), turned])
         estimated, random = self.discriminator(reverse_gradient(torch.cat([images, others])), views).chunk(2)
         student = model.pose_decoder(model.pose_encoder(others.detach()))
+        with torch.no_grad():
+            features = self.extractor(others)
+        shape = model.read_shapes(others.detach(), features)
         return {
             "view_prior": view_prior_loss(estimated, random),
             "rendered_regression": regression_error(student, turned),
+            "rendered_shape_regression": self.shape_regression(shape, vertices),
         }
 
 
@@ -137,3 +145,8 @@ def pose_regression(estimate: Estimate, best: Best) -> Float[Tensor, ""]:
     photograph = torch.arange(len(best.head), device=best.head.device)
     winners = PoseRegression(*(part[photograph, best.head] for part in estimate.heads))
     return regression_error(winners, recorded) + regression_error(estimate.student, recorded)
+
+
+def _weighed(features: Features, deepest: float) -> Features:
+    *others, last = features
+    return [*others, deepest * last]

@@ -10,6 +10,7 @@ from torch.nn import functional
 from pipeline.distributed import agree, average, gather, share
 from pipeline.errors import ConfigError
 from pipeline.geometry.camera import Pose
+from pipeline.losses.image_distance import Features
 from pipeline.networks.discriminator import ViewDiscriminator
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, FullModelConfig
@@ -100,9 +101,12 @@ class FullTrainer:
         """Build networks, as precise as the extractor, optimiser and random streams from the seed."""
         device = photographs.images.device
         self.config, self.photographs, self.extractor = config, photographs, extractor
+        first = torch.arange(min(4 * config.batch_size, len(photographs.images)), device=device)
+        images, features = photographs.batch(first)
         with initialised(seed, "full_model"):
-            self.model = FullModel(config.model, base, extractor.precision).to(device)
-        self.model.standardize(photographs.images[: 4 * config.batch_size].float() / 255)
+            channels = sum(layer.shape[1] for layer in features)
+            self.model = FullModel(config.model, base, extractor.precision, channels).to(device)
+        self.model.standardize(images, features)
         with initialised(seed, "view_discriminator"):
             self.discriminator = ViewDiscriminator(config.discriminator_width, POSE_COORDINATES).to(device)
         self.loss = FullLoss(config.loss, self.model, self.discriminator, extractor)
@@ -131,7 +135,7 @@ class FullTrainer:
         index = self.draw(iteration)
         own = share(index)
         images, features = self.photographs.batch(own)
-        estimate = self.estimate(images)
+        estimate = self.estimate(images, features)
         settled = iteration >= self.config.settle * self.config.iterations
         exploration = self.config.exploration if settled else refining(self.config.exploration)
         best = explore(self.model, self.extractor, features, estimate, self.record.rows(own), exploration, self.rng)
@@ -203,7 +207,7 @@ class FullTrainer:
     def _learn(self, index: Int[Tensor, " P"], poses: Float[Tensor, "N 7"]) -> None:
         learn_poses(self.model, self.photographs.images, index, poses[index], self.config.lessons, self.rng)
 
-    def estimate(self, images: Float[Tensor, "B 3 H W"]) -> Estimate:
+    def estimate(self, images: Float[Tensor, "B 3 H W"], features: Features) -> Estimate:
         """Run all encoders and decoders on a batch of photographs."""
         model = self.model
         pose_code, mirrored_code = model.pose_encoder(torch.cat([images, images.flip(-1)])).chunk(2)
@@ -211,7 +215,7 @@ class FullTrainer:
             model.pose_decoder(pose_code),
             model.pose_decoder.ensemble(pose_code),
             model.pose_decoder(mirrored_code),
-            model.shape_decoder(model.shape_encoder(images)),
+            model.read_shapes(images, features),
             model.texture_decoder(model.texture_encoder(images)),
             model.background_decoder(model.background_encoder(images)),
         )

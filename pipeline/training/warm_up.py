@@ -129,9 +129,9 @@ def _render(model: FullModel, scenes: SceneGenerator, drawn: Draw) -> Sample:
     vertices = model.shapes(drawn.shape)
     images = render(
         Mesh(vertices, model.faces, model.directions),
-        (drawn.texture_paint * scenes.texture(drawn.noise)).clamp(max=1),
+        (drawn.texture_paint * scenes.texture(drawn.noise)).clamp(0, 1),
         model.poses(drawn.pose, vertices),
-        (drawn.background_paint * scenes.background(drawn.noise)).clamp(max=1),
+        (drawn.background_paint * scenes.background(drawn.noise)).clamp(0, 1),
         drawn.light,
         model.config.renderer,
     ).images

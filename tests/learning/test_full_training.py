@@ -26,6 +26,7 @@ from tests.tiny_full_model import (
     MODEL,
     TRAINING,
     base_mesh,
+    inferred,
     photographs,
     photographs_of,
     tiny_extractor,
@@ -236,7 +237,7 @@ def test_training_finds_poses_and_reconstructs(tmp_path: Path) -> None:
     assert last["reconstruction"] < 0.85 * first["reconstruction"]
     features = [layer.float() for layer in extract(extractor, images, 8)]
     with torch.no_grad():
-        estimate = trainer.estimate(images.float() / 255)
+        estimate = trainer.estimate(images.float() / 255, features)
     poses = torch.cat([trainer.record.pose, trainer.model.poses.draw(8 * 10, generator(9))]).unflatten(0, (11, 8))
     shapes = trainer.record.shape.expand(11, -1, -1)
     distances = score(trainer.model, extractor, features, estimate, poses, shapes, config.exploration.map_weights)
@@ -264,7 +265,7 @@ def test_fine_tuning_moves_only_background_pose_and_shape(tmp_path: Path) -> Non
     assert torch.equal(results["vertices_predicted"], results["vertices_tuned"])
     assert torch.equal(results["backgrounds_predicted"], results["backgrounds_tuned"])
     assert not torch.equal(results["pose_predicted"], results["pose_tuned"])
-    torch.testing.assert_close(results["textures"], model.infer(images.float() / 255).texture_maps)
+    torch.testing.assert_close(results["textures"], inferred(model, images.float() / 255).texture_maps)
 
 
 def test_predicted_shapes_differ_as_the_photographed_ones_do() -> None:
@@ -272,7 +273,7 @@ def test_predicted_shapes_differ_as_the_photographed_ones_do() -> None:
     shape = torch.zeros(48, tiny_model().shapes.parameter_count)
     shape[::2, -2], shape[1::2, -2] = 2.0, -2.0  # high and low bodies by turns: logarithms .8 apart
     images, extractor = photographs_of(poses, shape=shape), tiny_extractor()
-    exploration = replace(TRAINING.exploration, random_shapes=0, perturbed_shapes=0)
+    exploration = replace(TRAINING.exploration, shapes=None)
     config = replace(
         TRAINING, iterations=120, learning_rate=3e-3, exploration=exploration, photographs_per_iteration=48.0
     )
@@ -281,7 +282,7 @@ def test_predicted_shapes_differ_as_the_photographed_ones_do() -> None:
     for iteration in range(config.iterations):
         trainer.step(iteration)
     with torch.no_grad():
-        vertices = trainer.model.shapes(trainer.estimate(images.float() / 255).shape)
+        vertices = trainer.model.shapes(trainer.estimate(*trainer.photographs.batch(torch.arange(len(images)))).shape)
     extent = vertices.amax(dim=1) - vertices.amin(dim=1)
     height = (extent[:, 1] / extent[:, 2]).log()
     assert height[::2].mean() > height[1::2].mean() + 0.15

@@ -110,7 +110,7 @@ TABLES: dict[str, Table | Confusion] = {
         {
             "base shape": "shape.base.voxel_iou",
             "predicted": "shape.test.voxel_iou",
-            "shapes differ by": "shape_spread.predicted",
+            "shapes differ by": "vertex_deviation.predicted",
             "correlation of widths": "shape.test.width_correlation",
             "of heights": "shape.test.height_correlation",
             "mean shape of the truth": "shape.constant.voxel_iou",

@@ -90,17 +90,19 @@ def test_each_ablation_changes_what_its_name_says() -> None:
         f"no-{name.replace('_', '-')}": {name: False}
         for name in ("smoothness", "symmetry", "texture_simplicity", "background_simplicity")
     }
-    counts = ("random_poses", "turned_poses", "flipped_poses", "perturbed_poses", "random_shapes", "perturbed_shapes")
+    counts = ("random_poses", "turned_poses", "flipped_poses", "perturbed_poses")
     single_stage = {"two_stage": False, "ends": None, "settle": 0.0}
     weights = ("total_variation", "mirrored_regression", "laplacian_squared_weight", "angle_squared_weight")
     free = {"mirror_texture": False, "stripes": False, "mirror": False, **dict.fromkeys(weights, 0)}
-    additions = dict.fromkeys(("iterations", "mirrored_regression", "rendered_regression"), 0)
+    additions = dict.fromkeys(
+        ("iterations", "mirrored_regression", "rendered_regression", "rendered_shape_regression"), 0
+    )
     assert changed == {
         "none": {},
         **constraints,
         "single-stage": single_stage,
         "single-stage-no-constraints": single_stage | free,
-        "no-exploration": dict.fromkeys(counts, 0),
+        "no-exploration": {"shapes": None, **dict.fromkeys(counts, 0)},
         "no-first-poses": {"first_poses": None, "ends": None, "settle": 0.0},
         "no-ends": {"ends": None},
         "no-view-prior": {"view_prior": 0},

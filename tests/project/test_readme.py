@@ -11,7 +11,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from pipeline.export.runs_page import MeasuredRun
-from pipeline.files import write_json
+from pipeline.files import read_json, write_json
 from tests.project.import_closure import ROOT
 from tests.project.result_tables import PAGES, TABLES, Confusion, Table, render, with_tables
 
@@ -83,11 +83,20 @@ def test_a_table_shows_the_mean_over_seeds(tmp_path: Path) -> None:
         }
         write_json(tmp_path / "metrics" / f"{name}.json", {"pose": section})
     write_json(tmp_path / "metrics" / "ship.json", {"shape": {}})
+    write_json(tmp_path / "metrics" / "tram.json", {"pose": {"acc_pi6": 0.5, "n": 40, "standard_error": 0.1}})
     table = Table("", ".*", {"accuracy": "pose.acc_pi6", "distance": "pose.other"})
     assert render(table, tmp_path).splitlines()[2:] == [
         "| `car` | 2 | 40 | 0.600 ± 0.141 | 3.0 ± 0.0 |",
         "| `horse` | 1 | 40 | 0.250 ± 0.100 | 3.0 ± 1.0 |",
+        "| `tram` | 1 | 40 | 0.500 ± 0.100 | – |",
     ]
+
+
+@pytest.mark.parametrize("table", [table for table in TABLES.values() if isinstance(table, Table)])
+def test_every_column_of_a_table_is_measured_somewhere(table: Table, committed: Path) -> None:
+    paths = (committed / "results/metrics" / table.folder).glob("*.json")
+    measured = {key for path in paths for key in MeasuredRun(path.stem, None, read_json(path)).by_name()}
+    assert set(table.columns.values()) <= measured
 
 
 def test_a_confusion_counts_the_sides_of_all_seeds(tmp_path: Path) -> None:

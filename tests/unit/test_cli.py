@@ -9,15 +9,17 @@ import cv2
 import pytest
 import torch
 import trimesh
+from jaxtyping import UInt8
 from PIL import Image, ImageSequence
 from ruamel.yaml import YAML
+from torch import Tensor
 
 from pipeline.cli import doctor
 from pipeline.cli.__main__ import main
 from pipeline.datasets.decoding import Fit, decode
 from pipeline.files import save_tensors
-from pipeline.networks.feature_extractor import save_feature_extractor
-from pipeline.networks.full_model import full_model_texts
+from pipeline.networks.feature_extractor import extract, load_feature_extractor, save_feature_extractor
+from pipeline.networks.full_model import Reconstruction, full_model_texts
 from pipeline.networks.wide_resnet import WideResNet
 from tests.fresh_params import write_fresh_params
 from tests.tiny_full_model import photographs, tiny_model
@@ -33,7 +35,7 @@ def project(tmp_path: Path) -> Path:
     for phase in ("background", "pose", "shape"):
         params["sizes"]["laptop"]["fine_tune"][phase] = {"steps": 2}
     params["report"] |= {"frames": 4, "view": {"size": 64, "supersampling": 1, "elevation": 15}}
-    params["device"] = "cpu"
+    params["device"], params["precision"] = "cpu", "float32"
     yaml.dump(params, folder / "params.yaml")
     model = tiny_model()
     save_tensors(folder / "models/full/toybox-car.safetensors", model.state_dict(), full_model_texts(model))
@@ -49,6 +51,14 @@ def reconstruct(project: Path, *words: str) -> list[str]:
     return sorted(path.relative_to(out).as_posix() for path in out.rglob("*") if path.suffix)
 
 
+def inferred(project: Path, images: UInt8[Tensor, "B 3 H W"]) -> Reconstruction:
+    """Return what the project's model reads off photographs."""
+    path = project / "models/features/toybox-laptop.safetensors"
+    extractor = load_feature_extractor(path, torch.device("cpu"), torch.float32)
+    features = [layer.float() for layer in extract(extractor, images, len(images))]
+    return tiny_model().eval().infer(images / 255, features)
+
+
 def test_photographs_become_textured_meshes(project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     endings = [".glb", ".mtl", ".obj", "_pose.json", "_reconstruction.png", "_texture.png", "_turntable.gif"]
     written = reconstruct(project, str(tmp_path / "car.png"), str(tmp_path / "van.png"))
@@ -56,7 +66,7 @@ def test_photographs_become_textured_meshes(project: Path, tmp_path: Path, capsy
         ["reconstruct.json"] + [f"{name}{ending}" for name in ("car", "van") for ending in endings]
     )
     assert "2 written to" in capsys.readouterr().out
-    expected = tiny_model().eval().infer(photographs(2)[0] / 255)
+    expected = inferred(project, photographs(2)[0])
     bounds = torch.stack([expected.vertices[1].amin(0), expected.vertices[1].amax(0)])
     for name in ("van.glb", "van.obj"):
         mesh = trimesh.load_mesh(project / "out" / name, process=False)
@@ -89,7 +99,7 @@ def test_oblong_photographs_become_square_as_those_of_the_run_did(
     Image.fromarray(torch.stack([ramp, ramp.flip(1), ramp // 2], 2).numpy()).save(tmp_path / "long.png")
     reconstruct(project, str(tmp_path / "long.png"), "--outputs", "pose")
     square = decode((tmp_path / "long.png").read_bytes(), "long", tiny_model().config.renderer.size, fit)
-    seen = tiny_model().eval().infer(torch.from_numpy(square.copy()).permute(2, 0, 1)[None] / 255)
+    seen = inferred(project, torch.from_numpy(square.copy()).permute(2, 0, 1)[None])
     pose = json.loads((project / "out/long_pose.json").read_text())
     assert pose["scale"] == pytest.approx(seen.pose.scale[0].item(), abs=1e-5)
     assert pose["azimuth_degrees"] == pytest.approx(math.degrees(seen.pose.azimuth[0]) % 360, abs=1e-3)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from pipeline.networks.encoders import CODE_NORM, LEAST_COLOR_VARIANCE, Encoder, EncoderConfig
+from pipeline.networks.encoders import CODE_NORM, LEAST_COLOR_VARIANCE, Encoder, EncoderConfig, FeatureEncoder
 from pipeline.seeding import generator, initialised
 
 CONFIGS = [(EncoderConfig("wide_resnet", 8, 1), 32), (EncoderConfig("resnet18", 8, 2), 128)]
@@ -34,6 +34,17 @@ def test_standardized_codes_have_mean_zero_and_one_deviation() -> None:
     codes = encoder(images)
     torch.testing.assert_close(codes.mean(dim=0), torch.zeros(5), atol=1e-3, rtol=0)
     torch.testing.assert_close(codes.std(dim=0), torch.full((5,), CODE_NORM / 5**0.5), atol=1e-3, rtol=0)
+
+
+def test_codes_of_features_have_mean_zero_and_one_deviation_and_say_where_things_are() -> None:
+    with initialised(0):
+        encoder = FeatureEncoder(3 + 5, 4)
+    features = [torch.rand(9, 3, 32, 32, generator=generator(0)), 50 * torch.rand(9, 5, 8, 8, generator=generator(1))]
+    encoder.standardize(features)
+    codes = encoder(features)
+    torch.testing.assert_close(codes.mean(dim=0), torch.zeros(4), atol=1e-3, rtol=0)
+    torch.testing.assert_close(codes.std(dim=0), torch.full((4,), CODE_NORM / 4**0.5), atol=1e-3, rtol=0)
+    assert (encoder([layer.flip(-1) for layer in features]) - codes).abs().amin() > 0
 
 
 def test_whitened_colors_are_uncorrelated_and_of_one_size() -> None:

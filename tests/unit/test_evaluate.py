@@ -34,7 +34,9 @@ def random_pose(count: int, seed: int) -> Pose:
 
 
 def ellipsoids(count: int) -> torch.Tensor:
-    sizes = torch.tensor([0.5, 0.4, 1.0]) + torch.linspace(-0.05, 0.05, count)[:, None] * torch.tensor([1.0, 1, 0])
+    wider = torch.linspace(-0.05, 0.05, count)
+    higher = 20 * wider.square() - 0.02
+    sizes = torch.tensor([0.5, 0.4, 1.0]) + torch.stack([wider, higher, torch.zeros(count)], 1)
     return icosphere(2)[0].float() / 2 * sizes[:, None]
 
 
@@ -113,6 +115,6 @@ def test_reconstruction_nearer_to_the_photograph_counts_as_improved(learned: Cha
     figures, table = evaluate_images(photographs, training, learned.reconstructions, extractor, CONFIG)
     assert figures["reconstruction"]["retrieved"]["feature_distance"]["value"] > 0
     assert figures["reconstruction"]["improved"]["value"] == 1
-    assert figures["shape_spread"]["predicted"]["n"] == COUNT
+    assert figures["vertex_deviation"]["predicted"]["n"] == COUNT
     assert figures["reconstruction"]["tuned"]["feature_distance"]["value"] == 0
     torch.testing.assert_close(table["psnr_predicted"], torch.full((COUNT,), -20 * math.log10(0.25)))

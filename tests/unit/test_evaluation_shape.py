@@ -1,6 +1,13 @@
 import torch
 
-from pipeline.evaluation.shape import chamfer_l1, iou, sample_outer_surface, sample_surface, shape_spread
+from pipeline.evaluation.shape import (
+    chamfer_l1,
+    iou,
+    proportions,
+    sample_outer_surface,
+    sample_surface,
+    vertex_deviation,
+)
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.voxels import voxelize
 
@@ -35,9 +42,9 @@ def test_chamfer_counts_both_directions() -> None:
 
 def test_spread_is_the_mean_distance_from_the_mean_shape() -> None:
     vertices, _ = icosphere(1)
-    assert not shape_spread(vertices.expand(3, -1, -1)).any()
+    assert not vertex_deviation(vertices.expand(3, -1, -1)).any()
     moved = torch.stack([vertices - torch.tensor([0.0, 0.03, 0.04]), vertices + torch.tensor([0.0, 0.03, 0.04])])
-    torch.testing.assert_close(shape_spread(moved), torch.tensor([0.05, 0.05]))
+    torch.testing.assert_close(vertex_deviation(moved), torch.tensor([0.05, 0.05]))
 
 
 def test_points_lie_on_the_surface_in_proportion_to_area() -> None:
@@ -58,3 +65,8 @@ def test_points_inside_overlapping_parts_are_left_out() -> None:
     points = sample_outer_surface(pair, both, voxelize(pair, both, 32), 500, torch.Generator().manual_seed(0))
     outside_both = torch.minimum((points[0] - near).norm(dim=1), (points[0] - far).norm(dim=1)) > 0.27
     assert outside_both.float().mean() > 0.97
+
+
+def test_proportions_are_logarithms_of_width_and_height_over_length() -> None:
+    box = torch.cartesian_prod(torch.tensor([0.0, 1.0]), torch.tensor([0.0, 2.0]), torch.tensor([0.0, 4.0]))
+    torch.testing.assert_close(proportions(box[None]), torch.tensor([[0.25, 0.5]]).log())

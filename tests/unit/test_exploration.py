@@ -12,6 +12,7 @@ from pipeline.seeding import generator
 from pipeline.training.exploration import (
     Estimate,
     Record,
+    ShapeSearchConfig,
     candidates,
     comparable,
     explore,
@@ -33,7 +34,7 @@ def estimate_of(model: FullModel, count: int) -> Estimate:
             model.pose_decoder(code),
             model.pose_decoder.ensemble(code),
             model.pose_decoder(model.pose_encoder(images.flip(-1))),
-            model.shape_decoder(model.shape_encoder(images)),
+            model.read_shapes(images, tiny_extractor()(images)),
             model.texture_decoder(model.texture_encoder(images)),
             model.background_decoder(model.background_encoder(images)),
         )
@@ -64,7 +65,7 @@ def test_the_estimated_shape_is_the_best_and_learns_where_none_is_searched_for()
     images, _ = photographs(3)
     features = [layer.float() for layer in extract(extractor, images, 3)]
     record = first_record(model, 3, generator(0))
-    config = replace(CONFIG, random_shapes=0, perturbed_shapes=0)
+    config = replace(CONFIG, shapes=None)
     shape = torch.randn(3, model.shapes.parameter_count, generator=generator(2), requires_grad=True)
     estimate = estimate_of(model, 3)._replace(shape=shape)
     best = explore(model, extractor, features, estimate, record, config, generator(1))
@@ -76,20 +77,19 @@ def test_the_estimated_shape_is_the_best_and_learns_where_none_is_searched_for()
 
 def test_near_shapes_differ_as_random_ones_do() -> None:
     model = tiny_model()
-    record = first_record(model, 3, generator(0))
-    config = replace(CONFIG, random_shapes=0, perturbed_shapes=300, shape_step=(0.2, 0.2))
+    record = Record(model.poses.draw(3, generator(0)), model.shapes.draw(3, 1.0, generator(2)))
+    config = replace(CONFIG, shapes=ShapeSearchConfig(random=0, perturbed=300, step=(0.2, 0.2), spread=0.5))
     _, shapes = candidates(model, estimate_of(model, 3), record, config, generator(1))
-    near = shapes[-300:].flatten(0, 1)
+    near = (shapes[-300:] - record.shape).flatten(0, 1)
     random = model.shapes.draw(900, 0.2, generator(3))
+    torch.testing.assert_close(near.mean(dim=0), torch.zeros(near.shape[1]), atol=0.04, rtol=0)
     torch.testing.assert_close(torch.cov(near.T), torch.cov(random.T), atol=0.015, rtol=0)
 
 
 def test_turned_candidates_keep_all_but_the_azimuth_and_spread_over_the_circle() -> None:
     model = tiny_model()
     record = first_record(model, 2, generator(0))
-    only_turned = replace(
-        CONFIG, turned_poses=4, flipped_poses=0, random_poses=0, perturbed_poses=0, random_shapes=0, perturbed_shapes=0
-    )
+    only_turned = replace(CONFIG, turned_poses=4, flipped_poses=0, random_poses=0, perturbed_poses=0, shapes=None)
     poses, _ = candidates(model, estimate_of(model, 2), record, only_turned, generator(1))
     turned = poses[4:8]
     torch.testing.assert_close(turned[..., 2:], record.pose[:, 2:].expand(4, -1, -1))
@@ -99,9 +99,7 @@ def test_turned_candidates_keep_all_but_the_azimuth_and_spread_over_the_circle()
 def test_flipped_candidates_look_alike_from_outside() -> None:
     model = tiny_model()
     record = first_record(model, 2, generator(0))
-    only_flipped = replace(
-        CONFIG, turned_poses=0, random_poses=0, perturbed_poses=0, random_shapes=0, perturbed_shapes=0
-    )
+    only_flipped = replace(CONFIG, turned_poses=0, random_poses=0, perturbed_poses=0, shapes=None)
     poses, _ = candidates(model, estimate_of(model, 2), record, only_flipped, generator(1))
     azimuths = torch.atan2(poses[4:7, :, 1], poses[4:7, :, 0])
     recorded = torch.atan2(record.pose[:, 1], record.pose[:, 0])

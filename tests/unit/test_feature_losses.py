@@ -43,12 +43,6 @@ def test_feature_distance_is_equation_one_summed_over_layers() -> None:
     torch.testing.assert_close(feature_distance(first, second), naive_pairwise(first, second).diagonal())
 
 
-def test_the_deepest_map_can_count_less() -> None:
-    first, second = random_features("first", 3), random_features("second", 3)
-    whole, rest = (feature_distance(first[:count], second[:count]) for count in (len(first), len(first) - 1))
-    torch.testing.assert_close(feature_distance(first, second, deepest=0.25), rest + 0.25 * (whole - rest))
-
-
 def test_gradients_of_the_distance_reach_both_pictures() -> None:
     first, second = random_features("first", 3), random_features("second", 3)
     for layer in [*first, *second]:

@@ -32,7 +32,7 @@ def terms_of(trainer: FullTrainer) -> dict[str, Tensor]:
     _, poses = photographs(4)
     record = Record(poses, trainer.model.shapes.draw(4, 0.5, generator(3)))
     best = Best(record, torch.zeros(4, dtype=torch.int64))
-    return trainer.loss.terms(features, trainer.estimate(images), best, generator(1))
+    return trainer.loss.terms(features, trainer.estimate(images, features), best, generator(1))
 
 
 @pytest.mark.parametrize(
@@ -66,6 +66,7 @@ def test_the_deepest_map_counts_by_its_weight(name: str) -> None:
         ("mirrored_regression", POSES),
         ("rendered_regression", POSES),
         ("shape_regression", {"shape_encoder", "shape_decoder"}),
+        ("rendered_shape_regression", {"shape_encoder", "shape_decoder"}),
         ("total_variation", TEXTURES),
         ("view_prior", TEXTURES | BACKGROUNDS | {"discriminator"}),
     ],
@@ -75,6 +76,15 @@ def test_a_term_teaches_its_networks_alone(name: str, taught: set[str]) -> None:
     terms_of(trainer)[name].backward()
     networks = {**dict(trainer.model.named_children()), "discriminator": trainer.discriminator}
     assert {part for part, network in networks.items() if learns(network)} == taught
+
+
+def test_shapes_are_compared_by_their_vertices() -> None:
+    trainer = trainer_of()
+    images, features = trainer.photographs.batch(torch.arange(4))
+    estimate, shapes = trainer.estimate(images, features), trainer.model.shapes
+    best = Best(Record(photographs(4)[1], shapes.draw(4, 0.5, generator(3))), torch.zeros(4, dtype=torch.int64))
+    error = trainer.loss.terms(features, estimate, best, generator(1))["shape_regression"]
+    torch.testing.assert_close(error, (shapes(estimate.shape) - shapes(best.record.shape)).abs().mean())
 
 
 def test_the_discriminator_descends_and_textures_ascend() -> None:

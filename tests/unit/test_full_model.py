@@ -3,34 +3,46 @@
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 import torch
 from torch import Tensor
 
 from pipeline.files import save_tensors
 from pipeline.geometry.camera import pose_to_tensor
+from pipeline.networks.encoders import Encoder
 from pipeline.networks.full_model import FullModel, full_model_texts, load_full_model
 from pipeline.seeding import generator
 from pipeline.training.full import load_base
-from tests.tiny_full_model import MODEL, TRAINING, base_mesh, photographs, tiny_model
+from tests.tiny_full_model import (
+    CHANNELS,
+    MODEL,
+    TRAINING,
+    base_mesh,
+    inferred,
+    photographs,
+    tiny_extractor,
+    tiny_model,
+)
 
 
 def pictures(count: int) -> Tensor:
     return photographs(count)[0].float() / 255
 
 
-def test_model_from_a_file_predicts_the_same(tmp_path: Path) -> None:
-    model, images = tiny_model(framing="box").eval(), pictures(2)
+@pytest.mark.parametrize("shapes_from", ["photographs", "features"])
+def test_model_from_a_file_predicts_the_same(shapes_from: str, tmp_path: Path) -> None:
+    model, images = tiny_model(framing="box", shapes_from=shapes_from).eval(), pictures(2)
     path = tmp_path / "model.safetensors"
     save_tensors(path, model.state_dict(), full_model_texts(model))
     loaded = load_full_model(path, torch.device("cpu"))
     assert loaded.config == model.config
     assert not loaded.training
-    assert torch.equal(loaded.render(loaded.infer(images)), model.render(model.infer(images)))
+    assert torch.equal(loaded.render(inferred(loaded, images)), model.render(inferred(model, images)))
 
 
 def test_reconstructions_of_single_photographs_equal_those_of_a_batch() -> None:
     model, images = tiny_model().eval(), pictures(3)
-    batch, single = model.infer(images), model.infer(images[1:2])
+    batch, single = inferred(model, images), inferred(model, images[1:2])
     torch.testing.assert_close(batch.vertices[1:2], single.vertices)
     torch.testing.assert_close(batch.texture_maps[1:2], single.texture_maps)
     torch.testing.assert_close(pose_to_tensor(batch.pose)[1:2], pose_to_tensor(single.pose))
@@ -38,18 +50,28 @@ def test_reconstructions_of_single_photographs_equal_those_of_a_batch() -> None:
 
 
 def test_constraints_of_textures_and_backgrounds() -> None:
-    reconstruction = tiny_model().eval().infer(pictures(2))
+    reconstruction = inferred(tiny_model(), pictures(2))
     torch.testing.assert_close(reconstruction.texture_maps, reconstruction.texture_maps.flip(-1))
     assert torch.equal(reconstruction.backgrounds, reconstruction.backgrounds[..., :1].expand(-1, -1, -1, 32))
-    free = tiny_model(mirror_texture=False).eval().infer(pictures(2)).texture_maps
+    free = inferred(tiny_model(mirror_texture=False), pictures(2)).texture_maps
     assert (free - free.flip(-1)).abs().amax() > 1e-3
 
 
-def test_gradients_of_a_rendering_reach_every_network() -> None:
+def test_textures_alone_are_read_from_whitened_colors() -> None:
     model = tiny_model()
+    model.standardize(pictures(8), tiny_extractor()(pictures(8)))
+    encoders = {name: part for name, part in model.named_children() if isinstance(part, Encoder)}
+    plain = {name for name, encoder in encoders.items() if torch.equal(encoder.color_mixing, 2 * torch.eye(3))}
+    assert encoders.keys() - plain == {"texture_encoder"}
+    assert len(plain) == 2
+
+
+@pytest.mark.parametrize("shapes_from", ["photographs", "features"])
+def test_gradients_of_a_rendering_reach_every_network(shapes_from: str) -> None:
+    model = tiny_model(shapes_from=shapes_from)
     images = pictures(2)
-    vertices = model.shapes(model.shape_decoder(model.shape_encoder(images)))
-    reconstruction = model.infer(images)._replace(
+    vertices = model.shapes(model.read_shapes(images, tiny_extractor()(images)))
+    reconstruction = inferred(model, images)._replace(
         vertices=vertices,
         pose=model.poses(model.pose_decoder(model.pose_encoder(images)).coordinates, vertices),
         texture_maps=model.texture_decoder(model.texture_encoder(images)),
@@ -64,7 +86,7 @@ def test_gradients_of_a_rendering_reach_every_network() -> None:
 def test_single_stage_training_starts_from_the_ellipsoid_and_needs_no_mesh() -> None:
     single_stage = replace(TRAINING, model=replace(MODEL, two_stage=False))
     base = load_base(single_stage, Path("missing"), torch.device("cpu"))
-    model = FullModel(single_stage.model, base, torch.float32)
+    model = FullModel(single_stage.model, base, torch.float32, CHANNELS)
     sides = base.vertices[0].amax(0) - base.vertices[0].amin(0)
     torch.testing.assert_close(sides, torch.tensor([0.5, 0.5, 1.0]), atol=0.02, rtol=0)
     assert model.shapes.parameter_count == base.vertices[0].numel()
@@ -84,7 +106,7 @@ def test_true_coordinates_rerender_the_photographs_silhouettes() -> None:
     images, coordinates = photographs(4)
     vertices = model.base_vertices.expand(4, -1, -1)
     with torch.no_grad():
-        prediction = model.eval().infer(images.float() / 255)
+        prediction = inferred(model, images.float() / 255)
         white = torch.ones_like(prediction.backgrounds)
         pose = model.poses(coordinates, vertices)
         black = torch.zeros_like(prediction.texture_maps)
@@ -99,7 +121,7 @@ def test_random_poses_differ() -> None:
 
 
 def test_backgrounds_without_stripes_are_any_picture() -> None:
-    reconstruction = tiny_model(stripes=False).eval().infer(torch.rand(2, 3, 32, 32, generator=generator(0)))
+    reconstruction = inferred(tiny_model(stripes=False), torch.rand(2, 3, 32, 32, generator=generator(0)))
     assert reconstruction.backgrounds.std(dim=3).min() > 1e-4
 
 

@@ -51,7 +51,7 @@ def test_a_head_that_sees_either_end_answers_with_one_of_them() -> None:
     assert abs(turn @ wanted[0, :2]) > math.cos(math.radians(5))
 
 
-def test_a_head_that_is_compared_with_itself_learns_nothing() -> None:
+def test_a_head_that_is_compared_with_itself_keeps_its_axis_and_box() -> None:
     torch.manual_seed(0)
     said = PoseDecoder(code_size=4, hidden_size=8, ensemble=1)(torch.randn(200, 4))
     own = POSES.clamp(said.coordinates).detach()
