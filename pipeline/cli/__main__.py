@@ -30,7 +30,7 @@ def _parser() -> ArgumentParser:
         metavar="PHOTO",
         help="a photograph, or a folder: RGB, at least as large as the model's pictures",
     )
-    reconstruct.add_argument("--run", help="whose model; default: the run turned on last")
+    reconstruct.add_argument("--run", help="whose model; default: the first run in params.yaml")
     reconstruct.add_argument("--out", type=Path, required=True, help="folder to write to")
     reconstruct.add_argument(
         "--outputs",
@@ -45,7 +45,7 @@ def _parser() -> ArgumentParser:
     )
     reconstruct.set_defaults(command=_reconstruct)
     view = commands.add_parser("view", help="open the page of a run")
-    view.add_argument("--run", help="default: the run turned on last")
+    view.add_argument("--run", help="default: the first run in params.yaml")
     view.set_defaults(command=_view)
     runs = commands.add_parser("runs", help="write and open one table of all runs' figures")
     runs.set_defaults(command=_runs)
