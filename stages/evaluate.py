@@ -51,6 +51,7 @@ def main() -> None:
             reconstructions,
             pose_from_tensor(model["train_pose"][visited]),
             mesh["vertices"],
+            full_model.shapes.base().detach(),
             mesh["faces"],
             full_model.config.renderer,
         )

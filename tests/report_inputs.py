@@ -40,7 +40,8 @@ def inputs(truth: bool) -> ReportInputs:
         figures["alignment"] = {"degrees": 90.0, "n": 10}
         figures["pose"] = {"test": row | {"flipped": figure(0.25)}, "chance": row, "constant": row}
         ious = {"voxel_iou": figure(0.6), "mask_iou": figure(0.7)}
-        figures["shape"] = {"test": ious, "base": {"voxel_iou": figure(0.6)}, "constant": ious}
+        base_shapes = {name: {"voxel_iou": figure(0.6)} for name in ("base", "final_base")}
+        figures["shape"] = {"test": ious, **base_shapes, "constant": ious}
         table |= {"truth_azimuth": ["0", "90", "180", "270"], "azimuth_predicted": ["0", "-90", "170", "0"]}
         table |= {f"rotation_error_{stage}": ["0", "180", "10", "90"] for stage in ("predicted", "tuned")}
         table["error_mode_predicted"] = ["correct", "flipped", "correct", "other"]

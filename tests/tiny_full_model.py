@@ -23,6 +23,7 @@ from pipeline.networks.scene_generator import (
     SceneConfig,
     SceneGenerator,
 )
+from pipeline.networks.shapes import BaseLearningConfig
 from pipeline.networks.wide_resnet import WideResNet
 from pipeline.rendering.renderer import Mesh, RendererConfig
 from pipeline.seeding import generator, initialised
@@ -51,7 +52,9 @@ MODEL = FullModelConfig(
     texture_channels=4,
     mirror_texture=True,
     stripes=True,
-    shape=ShapeConfig(mirror=True, grid_reach=0.1, dimension_reach=0.2, offset_reach=0.1),
+    shape=ShapeConfig(
+        mirror=True, grid_reach=0.1, dimension_reach=0.2, base_learning=BaseLearningConfig(4.0, 2.0), offset_reach=0.1
+    ),
     renderer=RendererConfig(CameraConfig(2.7, 30.0), 32, 2),
 )
 TRAINING = FullTrainingConfig(
@@ -81,6 +84,7 @@ TRAINING = FullTrainingConfig(
         map_weights=(0.1, 1.0, 2.0),
         random_poses=1,
         turned_poses=2,
+        raised_poses=3,
         flipped_poses=3,
         perturbed_poses=2,
         shapes=ShapeSearchConfig(random=1, perturbed=1, step=(0.02, 0.2), spread=0.5),

@@ -51,12 +51,14 @@ class ChainResult(NamedTuple):
     Attributes:
         training_pose: recorded best poses of the training pictures whose truth is given.
         base: base shape after remeshing, with its faces.
+        final_base: base shape after full training, in which it may go on learning.
         renderer: camera and size of the reconstructions, for their masks.
     """
 
     reconstructions: Reconstructions
     training_pose: Pose
     base: Float[Tensor, "V 3"]
+    final_base: Float[Tensor, "V 3"]
     base_faces: Int[Tensor, "F 3"]
     renderer: RendererConfig
 
@@ -141,7 +143,9 @@ def _evaluate_shape(
         split: {name: mean_figure(values) for name, values in columns[stage].items()} | correlations[stage]
         for stage, split in SPLITS.items()
     }
-    figures["base"] = shapes.base_figures(turn_vertices(learned.base, angle), learned.base_faces, rng)
+    for name in ("base", "final_base"):
+        turned = turn_vertices(getattr(learned, name), angle)
+        figures[name] = shapes.base_figures(turned, learned.base_faces, rng)
     typical_mask = training.masks.double().mean(0) >= 0.5
     figures["constant"] = {
         "voxel_iou": shapes.constant_figure(),

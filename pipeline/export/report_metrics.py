@@ -10,7 +10,13 @@ from pipeline.export.charts import Axis, Point, histogram, line_chart, scatter
 from pipeline.export.report_page import Section, Tile, figure_cell, folded, grid, table
 
 BASELINES = ("chance", "constant")
-ROW_NAMES = {"test": "test", "test_tuned": "test, fine-tuned", "train": "train, recorded best", "base": "base shape"}
+ROW_NAMES = {
+    "test": "test",
+    "test_tuned": "test, fine-tuned",
+    "train": "train, recorded best",
+    "base": "base shape",
+    "final_base": "base shape after full training",
+}
 LINE_POINTS = 120
 RETRIEVED = "training photograph of the same colours"
 ANGLE_TICKS = (-180, -90, 0, 90, 180)
@@ -36,7 +42,7 @@ def headline(figures: Mapping[str, Any]) -> list[Tile]:
     shape = figures["shape"]
     mean_shape, mean_mask = (shape["constant"][name]["value"] for name in ("voxel_iou", "mask_iou"))
     tiles[1:1] = [
-        _tile(shape["base"]["voxel_iou"], "volume IoU of the base shape", f"mean true shape {mean_shape:.3f}"),
+        _tile(shape["final_base"]["voxel_iou"], "volume IoU of the base shape", f"mean true shape {mean_shape:.3f}"),
         _tile(shape["test"]["mask_iou"], "mask IoU", f"mean true mask {mean_mask:.3f}"),
     ]
     return tiles

@@ -18,6 +18,7 @@ COLUMNS = {
     "poses, fine-tuned": ("pose.test_tuned.acc_pi6", 3),
     "poses, constant": ("pose.constant.acc_pi6", 3),
     "base IoU": ("shape.base.voxel_iou", 3),
+    "base IoU after training": ("shape.final_base.voxel_iou", 3),
     "shape IoU": ("shape.test.voxel_iou", 3),
     "shapes differ by": ("vertex_deviation.predicted", 3),
     "mask IoU": ("shape.test.mask_iou", 3),

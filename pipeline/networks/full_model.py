@@ -16,7 +16,7 @@ from pipeline.networks.encoders import Encoder, EncoderConfig, FeatureEncoder, F
 from pipeline.networks.generators import ImageBackgroundGenerator, StripesGenerator, TextureGenerator
 from pipeline.networks.pose_coordinates import Framing, PoseCoordinates, PoseRange
 from pipeline.networks.pose_decoder import PoseDecoder, PoseRegression
-from pipeline.networks.shapes import FreeFormShapes, OffsetShapes, ShapeDecoder
+from pipeline.networks.shapes import BaseLearningConfig, FreeFormShapes, OffsetShapes, ShapeDecoder
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
 
@@ -30,6 +30,8 @@ class ShapeConfig:
     """Control point offset at parameter 1, in world units."""
     dimension_reach: float
     """Logarithm of a relative dimension at parameter 1."""
+    base_learning: BaseLearningConfig | None
+    """None keeps the base shape as it was learned, as in the paper."""
     offset_reach: float
     """Vertex offset at parameter 1 in single-stage training, in world units."""
 
@@ -94,7 +96,7 @@ class FullModel(nn.Module):
         self.register_buffer("directions", base.directions)
         shape, code, hidden = config.shape, config.code_size, config.hidden_size
         self.shapes = (
-            FreeFormShapes(base.vertices[0], shape.grid_reach, shape.dimension_reach, shape.mirror)
+            FreeFormShapes(base, shape.grid_reach, shape.dimension_reach, shape.mirror, shape.base_learning)
             if config.two_stage
             else OffsetShapes(base.vertices[0], shape.offset_reach, shape.mirror)
         )

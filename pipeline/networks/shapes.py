@@ -1,16 +1,48 @@
 """Shapes of the full model: from a code to parameters, and from parameters to vertices (paper section 3.2.1)."""
 
+from dataclasses import dataclass
+
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from pipeline.geometry.compliance import compliance_matrix
 from pipeline.geometry.ffd import CONTROL_POINTS, control_point_weights, deform
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.symmetry import mirror_index, symmetrize
+from pipeline.rendering.renderer import Mesh
 
 SLOPE = 0.1
 """Of the shape decoder's rectifiers where they are negative: what pushes every unit down could silence plain ones for
 ever (docs/decisions.md)."""
+
+
+@dataclass(frozen=True)
+class BaseLearningConfig:
+    """How a base shape goes on learning in full training (ours)."""
+
+    reach: float
+    """Vertex offset at parameter 1 all over the shape, in world units."""
+    stiffness: float
+    """How far a step at one vertex carries its neighbours along, see `compliance_matrix`."""
+
+
+class BaseOffsets(nn.Module):
+    """Offsets of a base shape's vertices, which all photographs of a category share and teach together (ours)."""
+
+    compliance: Tensor
+    mirrored_vertices: Tensor
+
+    def __init__(self, base: Mesh, config: BaseLearningConfig) -> None:
+        super().__init__()
+        self.parameters_by_vertex = nn.Parameter(torch.zeros_like(base.vertices[0]))
+        compliance = config.reach * compliance_matrix(base.faces, config.stiffness)
+        self.register_buffer("compliance", compliance, persistent=False)
+        self.register_buffer("mirrored_vertices", mirror_index(base.vertices[0]), persistent=False)
+
+    def forward(self) -> Float[Tensor, "V 3"]:
+        """Return the offsets in world units, symmetric about x = 0. Gradients flow to the parameters."""
+        return symmetrize(self.compliance @ self.parameters_by_vertex, self.mirrored_vertices)
 
 
 class FreeFormShapes(nn.Module):
@@ -26,10 +58,17 @@ class FreeFormShapes(nn.Module):
     correlation_root: Tensor
 
     def __init__(
-        self, base_vertices: Float[Tensor, "V 3"], grid_reach: float, dimension_reach: float, mirror: bool
+        self,
+        base: Mesh,
+        grid_reach: float,
+        dimension_reach: float,
+        mirror: bool,
+        base_learning: BaseLearningConfig | None,
     ) -> None:
         super().__init__()
+        base_vertices = base.vertices[0]
         self.grid_reach, self.dimension_reach, self.mirror = grid_reach, dimension_reach, mirror
+        self.base_offsets = None if base_learning is None else BaseOffsets(base, base_learning)
         self.parameter_count = CONTROL_POINTS * 3 + 3
         axis = torch.arange(4.0)
         grid = torch.cartesian_prod(axis, axis, axis) / 3 - 0.5
@@ -40,13 +79,24 @@ class FreeFormShapes(nn.Module):
         positive = correlation + 1e-4 * torch.eye(CONTROL_POINTS)  # in spite of rounding
         self.register_buffer("correlation_root", torch.linalg.cholesky(positive), persistent=False)
 
+    def base(self) -> Float[Tensor, "V 3"]:
+        """Return the base shape as it is now. Gradients flow to its offsets, where it has any."""
+        return self.base_vertices if self.base_offsets is None else self.base_vertices + self.base_offsets()
+
     def forward(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
-        """Return the deformed vertices, scaled into the unit cube. Gradients flow to the parameters."""
+        """Return the deformed vertices, scaled into the unit cube. Gradients flow to parameters and base shape."""
+        return self._deform(self.base(), parameters)
+
+    def around_fixed_base(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
+        """Return the same vertices. Gradients flow to the parameters alone."""
+        return self._deform(self.base().detach(), parameters)
+
+    def _deform(self, base: Float[Tensor, "V 3"], parameters: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
         offsets = self.grid_reach * parameters[:, :-3].unflatten(1, (CONTROL_POINTS, 3))
         if self.mirror:
             offsets = symmetrize(offsets, self.mirrored_points)
         dimensions = (self.dimension_reach * parameters[:, -3:]).exp()
-        return fit_unit_cube(deform(self.base_vertices, self.weights, offsets) * dimensions[:, None])
+        return fit_unit_cube(deform(base, self.weights, offsets) * dimensions[:, None])
 
     def draw(self, count: int, spread: float, rng: torch.Generator) -> Float[Tensor, "B K"]:
         """Draw parameters from a normal distribution around the base shape.
@@ -82,6 +132,14 @@ class OffsetShapes(nn.Module):
         if self.mirror:
             offsets = symmetrize(offsets, self.mirrored_vertices)
         return fit_unit_cube(self.base_vertices + offsets)
+
+    def base(self) -> Float[Tensor, "V 3"]:
+        """Return the ellipsoid."""
+        return self.base_vertices
+
+    def around_fixed_base(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
+        """Return the same vertices: an ellipsoid does not learn."""
+        return self(parameters)
 
     def draw(self, count: int, spread: float, rng: torch.Generator) -> Float[Tensor, "B K"]:
         """Draw parameters that stretch the ellipsoid along the three axes by normal parts of its dimensions."""

@@ -58,6 +58,12 @@ class ExplorationConfig:
     """Drawn from the whole pose range."""
     turned_poses: int
     """The recorded pose with other azimuths, evenly spread over the circle from a random start."""
+    raised_poses: int
+    """The recorded pose with other elevations, evenly spread over their range from a random start.
+
+    A small picture fits about as well from a wrong elevation, by a shape that is wrong too: a search in small steps
+    would leave the elevation where it was, and shapes would make up for it.
+    """
     flipped_poses: int
     """Up to three: the recorded pose from the opposite side, with left and right, and with front and rear swapped.
 
@@ -133,6 +139,7 @@ def candidates(
             estimate.heads.coordinates.transpose(0, 1),
             _near_poses(record.pose, config, rng),
             _turned(record.pose, config.turned_poses, rng),
+            _raised(record.pose, config.raised_poses, rng),
             flipped(record.pose, config.flipped_poses),
             _random_poses(model, batch, config, rng),
         ]
@@ -260,6 +267,14 @@ def _turned(recorded: Float[Tensor, "B 7"], count: int, rng: torch.Generator) ->
     azimuth = 2 * math.pi * (start + steps) / max(count, 1)
     turn = torch.stack([azimuth.cos(), azimuth.sin()], dim=2)
     return torch.cat([turn, recorded[:, 2:].expand(count, -1, -1)], dim=2)
+
+
+def _raised(recorded: Float[Tensor, "B 7"], count: int, rng: torch.Generator) -> Float[Tensor, "count B 7"]:
+    start = share(torch.rand(1, whole(len(recorded)), generator=rng, device=rng.device), dim=1)
+    steps = torch.arange(count, device=rng.device)[:, None]
+    elevation = 2 * (start + steps) / max(count, 1) - 1
+    others = recorded.expand(count, -1, -1)
+    return torch.cat([others[..., :2], elevation[..., None], others[..., 3:]], dim=2)
 
 
 def _random_poses(model: FullModel, batch: int, config: ExplorationConfig, rng: torch.Generator) -> Tensor:

@@ -17,6 +17,7 @@ from pipeline.networks.discriminator import ViewDiscriminator
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.networks.pose_decoder import PoseRegression, regression_error
+from pipeline.networks.shapes import OffsetShapes
 from pipeline.training.exploration import Best, Estimate
 
 
@@ -40,7 +41,8 @@ class LossConfig:
     total_variation: float
     view_prior: float
     smoothness: SmoothnessConfig
-    """Of single-stage training alone: a grid around a learned base shape cannot become rough (paper section 4.1.3)."""
+    """Of single-stage training's shapes and of a base shape that goes on learning: a grid around a base shape cannot
+    become rough (paper section 4.1.3)."""
 
 
 class FullLoss:
@@ -86,10 +88,17 @@ class FullLoss:
             + config.total_variation * terms["total_variation"]
             + config.view_prior * terms["view_prior"]
         )
-        if not model.config.two_stage:
-            terms["smoothness"] = smoothness(model.shapes(estimate.shape), self.topology, config.smoothness).mean()
+        if (learned := self.learned_vertices(estimate)) is not None:
+            terms["smoothness"] = smoothness(learned, self.topology, config.smoothness).mean()
             terms["loss"] = terms["loss"] + terms["smoothness"]
         return terms
+
+    def learned_vertices(self, estimate: Estimate) -> Float[Tensor, "_ V 3"] | None:
+        """Return the shapes that are learned vertex by vertex, and could become rough."""
+        shapes = self.model.shapes
+        if isinstance(shapes, OffsetShapes):
+            return shapes(estimate.shape)
+        return None if shapes.base_offsets is None else shapes.base()[None]
 
     def mirrored_regression(self, estimate: Estimate, best: Best) -> Float[Tensor, ""]:
         """Return the student's error on the photographs' mirror images."""
@@ -98,9 +107,9 @@ class FullLoss:
     def shape_regression(self, shape: Float[Tensor, "B K"], vertices: Float[Tensor, "B V 3"]) -> Float[Tensor, ""]:
         """Return the mean absolute error of the estimated shapes' vertices to the best or known ones (term 2).
 
-        Of vertices rather than parameters, many of which move next to nothing.
+        Of vertices rather than parameters, many of which move next to nothing. They teach the shape's networks alone.
         """
-        return (self.model.shapes(shape) - vertices.detach()).abs().mean()
+        return (self.model.shapes.around_fixed_base(shape) - vertices.detach()).abs().mean()
 
     def other_views(
         self,

@@ -10,10 +10,11 @@ from torch.nn.functional import avg_pool2d
 from tqdm import trange
 
 from pipeline.geometry.camera import Pose, project
+from pipeline.geometry.compliance import compliance_matrix
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.remeshing import MappedMesh, check_surface
 from pipeline.geometry.symmetry import is_symmetric, mirror_index, symmetrize
-from pipeline.geometry.topology import laplacian_matrix, polygon_areas
+from pipeline.geometry.topology import polygon_areas
 from pipeline.rendering.antialias import antialias
 from pipeline.rendering.rasterize import rasterize
 from pipeline.rendering.renderer import RendererConfig
@@ -57,9 +58,8 @@ def remesh_by_silhouettes(original: MappedMesh, config: SilhouetteConfig) -> Map
     targets = silhouettes(original.vertices, original.faces, poses, config.renderer)
     lower, upper = original.vertices.amin(dim=0), original.vertices.amax(dim=0)
     ellipsoid = directions * (upper - lower) / 2 + (lower + upper) / 2
-    resistance = torch.eye(len(directions)) + config.stiffness * laplacian_matrix(faces)
-    compliance = torch.linalg.inv(resistance)
-    free = (resistance @ ellipsoid).requires_grad_()
+    compliance = compliance_matrix(faces, config.stiffness)
+    free = torch.linalg.solve(compliance, ellipsoid).requires_grad_()
     optimizer = torch.optim.Adam([free], config.learning_rate)
 
     def shape() -> Float[Tensor, "V 3"]:

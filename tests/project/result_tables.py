@@ -109,6 +109,7 @@ TABLES: dict[str, Table | Confusion] = {
         WHOLE,
         {
             "base shape": "shape.base.voxel_iou",
+            "after full training": "shape.final_base.voxel_iou",
             "predicted": "shape.test.voxel_iou",
             "shapes differ by": "vertex_deviation.predicted",
             "correlation of widths": "shape.test.width_correlation",

@@ -69,7 +69,7 @@ def learned(truth: Truth) -> ChainResult:
         torch.arange(COUNT),
     )
     base = vertices[COUNT // 2]
-    return ChainResult(reconstructions, pose, base, faces, RENDERER)
+    return ChainResult(reconstructions, pose, base, vertices[0], faces, RENDERER)
 
 
 def test_right_answers_in_a_turned_frame_score_full_marks(learned: ChainResult, truth: Truth) -> None:
@@ -84,6 +84,7 @@ def test_right_answers_in_a_turned_frame_score_full_marks(learned: ChainResult, 
     assert figures["shape"]["test_tuned"]["width_correlation"]["value"] > 0.999
     assert figures["shape"]["test_tuned"]["height_correlation"]["value"] > 0.999
     assert figures["shape"]["base"]["voxel_iou"]["value"] > 0.85
+    assert figures["shape"]["final_base"]["voxel_iou"]["value"] < figures["shape"]["base"]["voxel_iou"]["value"]
     assert table["rotation_error_predicted"].sort().values[-4:].tolist() == pytest.approx([180] * 4, abs=1e-3)
 
 

@@ -51,13 +51,13 @@ def test_each_kind_of_candidate_is_there_once_for_every_photograph() -> None:
     model = tiny_model()
     estimate, record = estimate_of(model, 3), first_record(model, 3, generator(0))
     poses, shapes = candidates(model, estimate, record, CONFIG, generator(1))
-    assert poses.shape == (1 + 1 + 2 + 2 + 2 + 3 + 1 + 3, 3, 7)
+    assert poses.shape == (1 + 1 + 2 + 2 + 2 + 3 + 3 + 1 + 3, 3, 7)
     torch.testing.assert_close(poses[0], record.pose)
     torch.testing.assert_close(poses[1], estimate.student.coordinates)
     torch.testing.assert_close(poses[2:4], estimate.heads.coordinates.transpose(0, 1))
-    assert torch.equal(shapes[:12], record.shape.expand(12, -1, -1))
-    assert torch.equal(poses[12:], record.pose.expand(3, -1, -1))
-    assert torch.equal(shapes[12], estimate.shape)
+    assert torch.equal(shapes[:15], record.shape.expand(15, -1, -1))
+    assert torch.equal(poses[15:], record.pose.expand(3, -1, -1))
+    assert torch.equal(shapes[15], estimate.shape)
 
 
 def test_the_estimated_shape_is_the_best_and_learns_where_none_is_searched_for() -> None:
@@ -89,17 +89,33 @@ def test_near_shapes_differ_as_random_ones_do() -> None:
 def test_turned_candidates_keep_all_but_the_azimuth_and_spread_over_the_circle() -> None:
     model = tiny_model()
     record = first_record(model, 2, generator(0))
-    only_turned = replace(CONFIG, turned_poses=4, flipped_poses=0, random_poses=0, perturbed_poses=0, shapes=None)
+    none = {"raised_poses": 0, "flipped_poses": 0, "random_poses": 0, "perturbed_poses": 0, "shapes": None}
+    only_turned = replace(CONFIG, turned_poses=4, **none)
     poses, _ = candidates(model, estimate_of(model, 2), record, only_turned, generator(1))
     turned = poses[4:8]
     torch.testing.assert_close(turned[..., 2:], record.pose[:, 2:].expand(4, -1, -1))
     torch.testing.assert_close(turned[..., :2].sum(dim=0), torch.zeros(2, 2), atol=1e-5, rtol=0)
 
 
+def test_raised_candidates_keep_all_but_the_elevation_and_spread_over_its_range() -> None:
+    model = tiny_model()
+    record = first_record(model, 50, generator(0))
+    only_raised = replace(CONFIG, turned_poses=0, raised_poses=4, random_poses=0, perturbed_poses=0, shapes=None)
+    poses, _ = candidates(model, estimate_of(model, 50), record, refining(only_raised), generator(1))
+    raised = poses[4:]
+    assert len(raised) == 4
+    others = [0, 1, 3, 4, 5, 6]
+    torch.testing.assert_close(raised[..., others], record.pose[:, others].expand(4, -1, -1))
+    torch.testing.assert_close(raised[1:, :, 2] - raised[:-1, :, 2], torch.full((3, 50), 0.5))
+    assert -1 <= raised[0, :, 2].min() < -0.9
+    assert 0.9 < raised[3, :, 2].max() <= 1
+
+
 def test_flipped_candidates_look_alike_from_outside() -> None:
     model = tiny_model()
     record = first_record(model, 2, generator(0))
-    only_flipped = replace(CONFIG, turned_poses=0, random_poses=0, perturbed_poses=0, shapes=None)
+    none = {"turned_poses": 0, "raised_poses": 0, "random_poses": 0, "perturbed_poses": 0, "shapes": None}
+    only_flipped = replace(CONFIG, **none)
     poses, _ = candidates(model, estimate_of(model, 2), record, only_flipped, generator(1))
     azimuths = torch.atan2(poses[4:7, :, 1], poses[4:7, :, 0])
     recorded = torch.atan2(record.pose[:, 1], record.pose[:, 0])

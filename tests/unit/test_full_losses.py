@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from pipeline.losses.smoothness import SmoothnessConfig
 from pipeline.seeding import generator
 from pipeline.training.exploration import Best, Record
 from pipeline.training.full_trainer import FullTrainer
@@ -13,7 +14,9 @@ from pipeline.training.photographs import Photographs
 from tests.tiny_full_model import TRAINING, base_mesh, photographs, tiny_extractor
 
 UNWEIGHTED = replace(
-    TRAINING.loss, **{field.name: 0.0 for field in fields(TRAINING.loss) if field.name != "smoothness"}
+    TRAINING.loss,
+    **{field.name: 0.0 for field in fields(TRAINING.loss) if field.name != "smoothness"},
+    smoothness=SmoothnessConfig(0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
 )
 POSES = {"pose_encoder", "pose_decoder"}
 TEXTURES = {"texture_encoder", "texture_decoder"}
@@ -46,6 +49,14 @@ def test_a_term_counts_by_its_weight(name: str) -> None:
     torch.testing.assert_close(terms["loss"], terms["reconstruction"] + 3 * terms[name])
 
 
+def test_the_smoothness_of_the_base_shape_counts() -> None:
+    trainer = trainer_of()
+    trainer.loss.config = replace(UNWEIGHTED, smoothness=TRAINING.loss.smoothness)
+    terms = terms_of(trainer)
+    assert terms["smoothness"] > 1e-2
+    torch.testing.assert_close(terms["loss"], terms["reconstruction"] + terms["smoothness"])
+
+
 @pytest.mark.parametrize("name", ["reconstruction", "feature_matching"])
 def test_the_deepest_map_counts_by_its_weight(name: str) -> None:
     trainer = trainer_of()
@@ -60,15 +71,16 @@ def test_the_deepest_map_counts_by_its_weight(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "taught"),
     [
-        ("reconstruction", TEXTURES | BACKGROUNDS),
-        ("feature_matching", TEXTURES | BACKGROUNDS),
+        ("reconstruction", TEXTURES | BACKGROUNDS | {"shapes"}),
+        ("feature_matching", TEXTURES | BACKGROUNDS | {"shapes"}),
         ("pose_regression", POSES),
         ("mirrored_regression", POSES),
         ("rendered_regression", POSES),
         ("shape_regression", {"shape_encoder", "shape_decoder"}),
         ("rendered_shape_regression", {"shape_encoder", "shape_decoder"}),
         ("total_variation", TEXTURES),
-        ("view_prior", TEXTURES | BACKGROUNDS | {"discriminator"}),
+        ("view_prior", TEXTURES | BACKGROUNDS | {"shapes", "discriminator"}),
+        ("smoothness", {"shapes"}),
     ],
 )
 def test_a_term_teaches_its_networks_alone(name: str, taught: set[str]) -> None:

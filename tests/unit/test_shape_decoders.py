@@ -5,7 +5,7 @@ import math
 import torch
 
 from pipeline.geometry.symmetry import mirror_index, reflect
-from pipeline.networks.shapes import FreeFormShapes, OffsetShapes, ShapeDecoder
+from pipeline.networks.shapes import BaseLearningConfig, FreeFormShapes, OffsetShapes, ShapeDecoder
 from pipeline.seeding import generator, initialised
 from tests.tiny_full_model import base_mesh
 
@@ -13,13 +13,35 @@ BASE = base_mesh().vertices[0]
 
 
 def free_form(mirror: bool) -> FreeFormShapes:
-    return FreeFormShapes(BASE, grid_reach=0.1, dimension_reach=0.5, mirror=mirror)
+    return FreeFormShapes(
+        base_mesh(), grid_reach=0.1, dimension_reach=0.5, mirror=mirror, base_learning=BaseLearningConfig(4.0, 2.0)
+    )
 
 
 def test_zero_parameters_are_the_base_shape() -> None:
     for shapes in (free_form(mirror=True), OffsetShapes(BASE, 0.1, mirror=True)):
         vertices = shapes(torch.zeros(2, shapes.parameter_count))
         torch.testing.assert_close(vertices, BASE.expand(2, -1, -1), atol=1e-6, rtol=0)
+
+
+def test_a_step_of_the_base_shape_is_smooth_symmetric_and_shared() -> None:
+    shapes, mirror = free_form(mirror=True), mirror_index(BASE)
+    assert shapes.base_offsets is not None
+    parameters = shapes.draw(3, 0.3, generator(0))
+    before, vertex = shapes(parameters), int(BASE[:, 0].argmax())
+    with torch.no_grad():
+        shapes.base_offsets.parameters_by_vertex[vertex, 1] = 0.1
+    moved = shapes.base() - BASE
+    torch.testing.assert_close(reflect(moved)[mirror], moved)
+    near, far = (BASE - BASE[vertex]).norm(dim=1).argsort()[[1, -1]]
+    assert moved[vertex, 1] > moved[near, 1] > 0.2 * moved[vertex, 1]
+    assert (shapes(parameters) - before)[:, vertex, 1].min() > 10 * (shapes(parameters) - before)[:, far].abs().max()
+
+
+def test_without_learning_the_base_shape_has_nothing_to_learn() -> None:
+    shapes = FreeFormShapes(base_mesh(), grid_reach=0.1, dimension_reach=0.5, mirror=True, base_learning=None)
+    assert not list(shapes.parameters())
+    assert torch.equal(shapes.base(), BASE)
 
 
 def test_last_parameters_are_relative_dimensions() -> None:
