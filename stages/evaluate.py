@@ -51,7 +51,7 @@ def main() -> None:
             reconstructions,
             pose_from_tensor(model["train_pose"][visited]),
             mesh["vertices"],
-            full_model.shapes.base().detach(),
+            full_model.shapes.base().detach() if full_model.config.two_stage else None,
             mesh["faces"],
             full_model.config.renderer,
         )

@@ -9,7 +9,6 @@ from pipeline.evaluation.artifacts import load_photographs, load_reconstructions
 from pipeline.evaluation.tables import format_figures, read_table
 from pipeline.export.report import ReportConfig, ReportInputs, write_report
 from pipeline.files import load_tensors, read_json
-from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.networks.full_model import load_full_model
 from stages.command_line import parse, run
 
@@ -45,7 +44,7 @@ def main() -> None:
         seeds=base_shape["seed_vertices"],
         seed_faces=base_shape["faces"],
         seed_scores=base_shape["seed_scores"],
-        base=fit_unit_cube(model.shapes.base().detach()[None])[0],
+        base=model.shapes.base().detach(),
         camera=model.config.renderer.camera,
         framing=model.config.framing,
         figures=read_json(arguments.metrics),

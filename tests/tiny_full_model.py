@@ -53,7 +53,11 @@ MODEL = FullModelConfig(
     mirror_texture=True,
     stripes=True,
     shape=ShapeConfig(
-        mirror=True, grid_reach=0.1, dimension_reach=0.2, base_learning=BaseLearningConfig(4.0, 2.0), offset_reach=0.1
+        mirror=True,
+        grid_reach=0.1,
+        dimension_reach=0.2,
+        base_learning=BaseLearningConfig(4.0, 2.0, mirror=True),
+        offset_reach=0.1,
     ),
     renderer=RendererConfig(CameraConfig(2.7, 30.0), 32, 2),
 )

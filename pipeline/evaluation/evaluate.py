@@ -51,14 +51,15 @@ class ChainResult(NamedTuple):
     Attributes:
         training_pose: recorded best poses of the training pictures whose truth is given.
         base: base shape after remeshing, with its faces.
-        final_base: base shape after full training, in which it may go on learning.
+        final_base: base shape after full training, in which it may go on learning, with the faces of the
+            reconstructions; None in single-stage training, which has none.
         renderer: camera and size of the reconstructions, for their masks.
     """
 
     reconstructions: Reconstructions
     training_pose: Pose
     base: Float[Tensor, "V 3"]
-    final_base: Float[Tensor, "V 3"]
+    final_base: Float[Tensor, "V 3"] | None
     base_faces: Int[Tensor, "F 3"]
     renderer: RendererConfig
 
@@ -143,9 +144,10 @@ def _evaluate_shape(
         split: {name: mean_figure(values) for name, values in columns[stage].items()} | correlations[stage]
         for stage, split in SPLITS.items()
     }
-    for name in ("base", "final_base"):
-        turned = turn_vertices(getattr(learned, name), angle)
-        figures[name] = shapes.base_figures(turned, learned.base_faces, rng)
+    figures["base"] = shapes.base_figures(turn_vertices(learned.base, angle), learned.base_faces, rng)
+    if learned.final_base is not None:
+        final_base = turn_vertices(learned.final_base, angle)
+        figures["final_base"] = shapes.base_figures(final_base, learned.reconstructions.faces, rng)
     typical_mask = training.masks.double().mean(0) >= 0.5
     figures["constant"] = {
         "voxel_iou": shapes.constant_figure(),

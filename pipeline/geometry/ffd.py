@@ -26,7 +26,7 @@ def deform(
     """Move each vertex by the weighted sum of the displacements of the control points.
 
     `offsets` are world units from the regular grid; zero offsets return `vertices` to the last bit. Gradients flow to
-    `offsets`.
+    both.
     """
     # All shapes in one matrix product, many times as fast as one of three columns for each. Coordinates stay apart in
     # memory, which does the same for the shapes' extents.

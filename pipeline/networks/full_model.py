@@ -22,7 +22,7 @@ from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
 @dataclass(frozen=True)
 class ShapeConfig:
-    """How predicted shapes may differ from the base shape, in world units."""
+    """How predicted shapes may differ from the base shape, and how that goes on learning."""
 
     mirror: bool
     """Whether predicted shapes are mirror-symmetric about x = 0."""

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from pipeline.errors import ConfigError, MeshError
 from pipeline.geometry.compliance import compliance_matrix
 from pipeline.geometry.ffd import CONTROL_POINTS, control_point_weights, deform
 from pipeline.geometry.normalize import fit_unit_cube
@@ -25,31 +26,47 @@ class BaseLearningConfig:
     """Vertex offset at parameter 1 all over the shape, in world units."""
     stiffness: float
     """How far a step at one vertex carries its neighbours along, see `compliance_matrix`."""
+    mirror: bool
+    """Whether offsets are mirror-symmetric about x = 0, as the base shape then has to be."""
 
 
 class BaseOffsets(nn.Module):
     """Offsets of a base shape's vertices, which all photographs of a category share and teach together (ours)."""
 
-    compliance: Tensor
-    mirrored_vertices: Tensor
+    compliance: Float[Tensor, "V V"]
+    mirrored_vertices: Int[Tensor, " V"] | None
 
     def __init__(self, base: Mesh, config: BaseLearningConfig) -> None:
+        """Start without offsets. Raises ConfigError for a base shape that is less symmetric than its offsets."""
         super().__init__()
         self.parameters_by_vertex = nn.Parameter(torch.zeros_like(base.vertices[0]))
         compliance = config.reach * compliance_matrix(base.faces, config.stiffness)
         self.register_buffer("compliance", compliance, persistent=False)
-        self.register_buffer("mirrored_vertices", mirror_index(base.vertices[0]), persistent=False)
+        self.register_buffer("mirrored_vertices", _mirror_of(base) if config.mirror else None, persistent=False)
 
     def forward(self) -> Float[Tensor, "V 3"]:
-        """Return the offsets in world units, symmetric about x = 0. Gradients flow to the parameters."""
-        return symmetrize(self.compliance @ self.parameters_by_vertex, self.mirrored_vertices)
+        """Return the offsets in world units. Gradients flow to the parameters."""
+        offsets = self.compliance @ self.parameters_by_vertex
+        return offsets if self.mirrored_vertices is None else symmetrize(offsets, self.mirrored_vertices)
+
+
+def _mirror_of(base: Mesh) -> Int[Tensor, " V"]:
+    # Of directions, which differ even where surfaces touch.
+    try:
+        return mirror_index(base.directions)
+    except MeshError:
+        raise ConfigError(
+            "the base shape is not mirror-symmetric, but train_full.model.shape.base_learning.mirror is true; set it "
+            "to false, or learn the base shape with symmetry"
+        ) from None
 
 
 class FreeFormShapes(nn.Module):
     """Deform a base shape by a 4x4x4 grid and by relative width, height and depth (paper section 3.2.1).
 
     Parameters are the 64 x 3 offsets of the control points in units of `grid_reach`, then the logarithms of the three
-    relative dimensions in units of `dimension_reach`.
+    relative dimensions in units of `dimension_reach`. A base shape that goes on learning takes its vertices' weights in
+    the grid along.
     """
 
     base_vertices: Tensor
@@ -80,8 +97,14 @@ class FreeFormShapes(nn.Module):
         self.register_buffer("correlation_root", torch.linalg.cholesky(positive), persistent=False)
 
     def base(self) -> Float[Tensor, "V 3"]:
-        """Return the base shape as it is now. Gradients flow to its offsets, where it has any."""
-        return self.base_vertices if self.base_offsets is None else self.base_vertices + self.base_offsets()
+        """Return the base shape as it is now, in the unit cube. Gradients flow to its offsets, where it has any."""
+        if self.base_offsets is None:
+            return self.base_vertices
+        return fit_unit_cube((self.base_vertices + self.base_offsets())[None])[0]
+
+    def learned_by_vertex(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "_ V 3"] | None:  # noqa: ARG002
+        """Return the shapes that could become rough: the base shape, where it goes on learning."""
+        return None if self.base_offsets is None else self.base()[None]
 
     def forward(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
         """Return the deformed vertices, scaled into the unit cube. Gradients flow to parameters and base shape."""
@@ -136,6 +159,10 @@ class OffsetShapes(nn.Module):
     def base(self) -> Float[Tensor, "V 3"]:
         """Return the ellipsoid."""
         return self.base_vertices
+
+    def learned_by_vertex(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "_ V 3"] | None:
+        """Return the shapes that could become rough: all of them."""
+        return self(parameters)
 
     def around_fixed_base(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
         """Return the same vertices: an ellipsoid does not learn."""

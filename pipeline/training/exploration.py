@@ -80,7 +80,7 @@ class ExplorationConfig:
 
 
 def refining(config: ExplorationConfig) -> ExplorationConfig:
-    """Return the config of small changes: no random, turned or flipped poses, no winner on the record's far side."""
+    """Return the config of poses from the record's side: no random, turned or flipped ones, no winner far from it."""
     reach = min(config.azimuth_reach, _SAME_SIDE)
     return replace(config, random_poses=0, turned_poses=0, flipped_poses=0, azimuth_reach=reach)
 
@@ -127,7 +127,9 @@ def first_record(model: FullModel, count: int, rng: torch.Generator) -> Record:
 def candidates(
     model: FullModel, estimate: Estimate, record: Record, config: ExplorationConfig, rng: torch.Generator
 ) -> tuple[Float[Tensor, "candidates B 7"], Float[Tensor, "candidates B K"]]:
-    """List poses (recorded, estimated, near, random) with the recorded shape, then shapes with the recorded pose.
+    """List poses (recorded, estimated, near, turned, raised, flipped, random), then shapes.
+
+    Poses come with the recorded shape, shapes with the recorded pose.
 
     Where no shapes are searched for, all poses come with the estimated shape, whose gradients flow.
     """
@@ -262,19 +264,21 @@ def _sizes(rows: tuple[int, int], step: tuple[float, float], rng: torch.Generato
 
 
 def _turned(recorded: Float[Tensor, "B 7"], count: int, rng: torch.Generator) -> Float[Tensor, "count B 7"]:
-    start = share(torch.rand(1, whole(len(recorded)), generator=rng, device=rng.device), dim=1)
-    steps = torch.arange(count, device=rng.device)[:, None]
-    azimuth = 2 * math.pi * (start + steps) / max(count, 1)
+    azimuth = 2 * math.pi * _spread(len(recorded), count, rng)
     turn = torch.stack([azimuth.cos(), azimuth.sin()], dim=2)
     return torch.cat([turn, recorded[:, 2:].expand(count, -1, -1)], dim=2)
 
 
 def _raised(recorded: Float[Tensor, "B 7"], count: int, rng: torch.Generator) -> Float[Tensor, "count B 7"]:
-    start = share(torch.rand(1, whole(len(recorded)), generator=rng, device=rng.device), dim=1)
-    steps = torch.arange(count, device=rng.device)[:, None]
-    elevation = 2 * (start + steps) / max(count, 1) - 1
+    elevation = 2 * _spread(len(recorded), count, rng) - 1
     others = recorded.expand(count, -1, -1)
     return torch.cat([others[..., :2], elevation[..., None], others[..., 3:]], dim=2)
+
+
+def _spread(batch: int, count: int, rng: torch.Generator) -> Float[Tensor, "count B"]:
+    """Spread numbers evenly over [0, 1), each photograph's from a random start."""
+    start = share(torch.rand(1, whole(batch), generator=rng, device=rng.device), dim=1)
+    return (start + torch.arange(count, device=rng.device)[:, None]) / max(count, 1)
 
 
 def _random_poses(model: FullModel, batch: int, config: ExplorationConfig, rng: torch.Generator) -> Tensor:

@@ -17,7 +17,6 @@ from pipeline.networks.discriminator import ViewDiscriminator
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.networks.pose_decoder import PoseRegression, regression_error
-from pipeline.networks.shapes import OffsetShapes
 from pipeline.training.exploration import Best, Estimate
 
 
@@ -60,7 +59,7 @@ class FullLoss:
         """Return the unweighted terms and their weighted sum, `loss`.
 
         `photographs` are features of the batch. Reconstructions use the best shapes and poses with the estimated
-        textures and backgrounds; gradients reach the networks whose estimates those are.
+        textures and backgrounds; gradients reach the networks whose estimates those are, and the base shape.
         """
         config, model = self.config, self.model
         vertices = model.shapes(best.record.shape)
@@ -88,17 +87,10 @@ class FullLoss:
             + config.total_variation * terms["total_variation"]
             + config.view_prior * terms["view_prior"]
         )
-        if (learned := self.learned_vertices(estimate)) is not None:
+        if (learned := model.shapes.learned_by_vertex(estimate.shape)) is not None:
             terms["smoothness"] = smoothness(learned, self.topology, config.smoothness).mean()
             terms["loss"] = terms["loss"] + terms["smoothness"]
         return terms
-
-    def learned_vertices(self, estimate: Estimate) -> Float[Tensor, "_ V 3"] | None:
-        """Return the shapes that are learned vertex by vertex, and could become rough."""
-        shapes = self.model.shapes
-        if isinstance(shapes, OffsetShapes):
-            return shapes(estimate.shape)
-        return None if shapes.base_offsets is None else shapes.base()[None]
 
     def mirrored_regression(self, estimate: Estimate, best: Best) -> Float[Tensor, ""]:
         """Return the student's error on the photographs' mirror images."""
@@ -122,9 +114,9 @@ class FullLoss:
         """Render the same objects from random views; return the view prior loss (term 4), and errors of what is read.
 
         Azimuth and elevation alone are redrawn: where the object stands in the picture says nothing about how it looks.
-        The discriminator descends on its loss. What the renderings are made of ascends: textures and backgrounds and,
-        where the networks' own estimates are the best found, shapes and, in the estimated view, poses. The errors of
-        the student's pose and of the shape train the networks that read them alone.
+        The discriminator descends on its loss. What the renderings are made of ascends: textures, backgrounds and the
+        base shape and, where the networks' own estimates are the best found, shapes and, in the estimated view, poses.
+        The errors of the student's pose and of the shape train the networks that read them alone.
         """
         model = self.model
         drawn = share(model.poses.draw(whole(len(images)), rng))

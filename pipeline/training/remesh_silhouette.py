@@ -14,7 +14,7 @@ from pipeline.geometry.compliance import compliance_matrix
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.remeshing import MappedMesh, check_surface
 from pipeline.geometry.symmetry import is_symmetric, mirror_index, symmetrize
-from pipeline.geometry.topology import polygon_areas
+from pipeline.geometry.topology import laplacian_matrix, polygon_areas
 from pipeline.rendering.antialias import antialias
 from pipeline.rendering.rasterize import rasterize
 from pipeline.rendering.renderer import RendererConfig
@@ -59,7 +59,7 @@ def remesh_by_silhouettes(original: MappedMesh, config: SilhouetteConfig) -> Map
     lower, upper = original.vertices.amin(dim=0), original.vertices.amax(dim=0)
     ellipsoid = directions * (upper - lower) / 2 + (lower + upper) / 2
     compliance = compliance_matrix(faces, config.stiffness)
-    free = torch.linalg.solve(compliance, ellipsoid).requires_grad_()
+    free = (ellipsoid + config.stiffness * laplacian_matrix(faces) @ ellipsoid).requires_grad_()
     optimizer = torch.optim.Adam([free], config.learning_rate)
 
     def shape() -> Float[Tensor, "V 3"]:

@@ -99,7 +99,7 @@ def warm_up_loss(model: FullModel, sample: Sample) -> Float[Tensor, ""]:
     code = model.pose_encoder(images)
     heads = regression_error(model.pose_decoder.ensemble(code), pose[:, None])
     student = regression_error(model.pose_decoder(code), pose)
-    vertices = model.shapes(shape).detach()  # what is drawn again is known
+    vertices = model.shapes.around_fixed_base(shape)
     drawn = model.render(
         Reconstruction(
             vertices,

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pipeline.datasets.images import load_images, place_images
 from pipeline.errors import TrainingDiverged
+from pipeline.evaluation.shape import proportions
 from pipeline.networks.feature_extractor import extract
 from pipeline.networks.pose_coordinates import PoseRange
 from pipeline.seeding import generator
@@ -287,3 +288,22 @@ def test_predicted_shapes_differ_as_the_photographed_ones_do() -> None:
     height = (extent[:, 1] / extent[:, 2]).log()
     assert height[::2].mean() > height[1::2].mean() + 0.15
     assert torch.corrcoef(torch.stack([height, shape[:, -2]]))[0, 1] > 0.5
+
+
+def test_the_base_shape_learns_what_all_photographs_share() -> None:
+    poses = tiny_model().poses.draw(24, generator(2))
+    wide = torch.zeros(24, tiny_model().shapes.parameter_count)
+    wide[:, -3] = 2.0  # the logarithm of the width is .4 above the base mesh's
+    images, extractor = photographs_of(poses, shape=wide), tiny_extractor()
+    exploration = replace(TRAINING.exploration, shapes=None)
+    config = replace(
+        TRAINING, iterations=60, learning_rate=3e-3, exploration=exploration, photographs_per_iteration=24.0
+    )
+    trainer = FullTrainer(config, Photographs(images, extractor, 4, MEMORY), extractor, base_mesh(), 0)
+    trainer.record.pose.copy_(poses)
+    for iteration in range(config.iterations):
+        trainer.step(iteration)
+    learned, given = (
+        proportions(one)[0, 0] for one in (trainer.model.shapes.base().detach()[None], base_mesh().vertices)
+    )
+    assert 0.1 < learned - given < 0.6

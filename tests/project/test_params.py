@@ -100,7 +100,8 @@ def test_each_ablation_changes_what_its_name_says() -> None:
     assert changed == {
         "none": {},
         **constraints,
-        "no-symmetry": {"symmetry": False, "base_learning": None},
+        "no-smoothness": {"smoothness": False, "laplacian_squared_weight": 0, "angle_squared_weight": 0},
+        "no-symmetry": {"symmetry": False, "mirror": False},
         "fixed-base": {"base_learning": None},
         "single-stage": single_stage,
         "single-stage-no-constraints": single_stage | free,

@@ -88,6 +88,21 @@ def test_right_answers_in_a_turned_frame_score_full_marks(learned: ChainResult, 
     assert table["rotation_error_predicted"].sort().values[-4:].tolist() == pytest.approx([180] * 4, abs=1e-3)
 
 
+def test_a_final_base_has_the_faces_of_the_reconstructions(learned: ChainResult, truth: Truth) -> None:
+    finer, faces = icosphere(3)
+    base_of_other_faces = learned._replace(base=finer.float() / 2, base_faces=faces)
+    shapes = evaluate_truth(base_of_other_faces, truth, truth, CONFIG)[0]["shape"]
+    assert shapes["final_base"] == evaluate_truth(learned, truth, truth, CONFIG)[0]["shape"]["final_base"] | {
+        "chamfer_l1": shapes["final_base"]["chamfer_l1"]
+    }
+
+
+def test_single_stage_training_has_no_final_base(learned: ChainResult, truth: Truth) -> None:
+    shapes = evaluate_truth(learned._replace(final_base=None), truth, truth, CONFIG)[0]["shape"]
+    assert "base" in shapes
+    assert "final_base" not in shapes
+
+
 def test_viewpoints_alone_are_measured_alike(learned: ChainResult, truth: Truth) -> None:
     figures, table = evaluate_truth(learned, truth, truth, CONFIG)
     viewpoints = truth._replace(objects=None)

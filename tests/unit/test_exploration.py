@@ -111,6 +111,17 @@ def test_raised_candidates_keep_all_but_the_elevation_and_spread_over_its_range(
     assert 0.9 < raised[3, :, 2].max() <= 1
 
 
+def test_elevations_are_found_from_far_away() -> None:
+    model, extractor = tiny_model(), tiny_extractor()
+    estimate, true = estimate_of(model, 12), first_record(model, 12, generator(0))
+    features = extractor(pictures_of(model, estimate, true))
+    record = true._replace(pose=torch.cat([true.pose[:, :2], torch.zeros(12, 1), true.pose[:, 3:]], 1))
+    config = replace(refining(CONFIG), raised_poses=8, perturbed_poses=0)
+    best = explore(model, extractor, features, estimate, record, config, generator(1))
+    before, after = ((poses[:, 2] - true.pose[:, 2]).abs() for poses in (record.pose, best.record.pose))
+    assert after.mean() < 0.4 * before.mean()
+
+
 def test_flipped_candidates_look_alike_from_outside() -> None:
     model = tiny_model()
     record = first_record(model, 2, generator(0))

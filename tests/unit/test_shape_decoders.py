@@ -2,8 +2,10 @@
 
 import math
 
+import pytest
 import torch
 
+from pipeline.errors import ConfigError
 from pipeline.geometry.symmetry import mirror_index, reflect
 from pipeline.networks.shapes import BaseLearningConfig, FreeFormShapes, OffsetShapes, ShapeDecoder
 from pipeline.seeding import generator, initialised
@@ -14,7 +16,11 @@ BASE = base_mesh().vertices[0]
 
 def free_form(mirror: bool) -> FreeFormShapes:
     return FreeFormShapes(
-        base_mesh(), grid_reach=0.1, dimension_reach=0.5, mirror=mirror, base_learning=BaseLearningConfig(4.0, 2.0)
+        base_mesh(),
+        grid_reach=0.1,
+        dimension_reach=0.5,
+        mirror=mirror,
+        base_learning=BaseLearningConfig(4.0, 2.0, mirror=True),
     )
 
 
@@ -32,10 +38,42 @@ def test_a_step_of_the_base_shape_is_smooth_symmetric_and_shared() -> None:
     with torch.no_grad():
         shapes.base_offsets.parameters_by_vertex[vertex, 1] = 0.1
     moved = shapes.base() - BASE
-    torch.testing.assert_close(reflect(moved)[mirror], moved)
+    torch.testing.assert_close(reflect(moved)[mirror], moved, atol=1e-6, rtol=0)
     near, far = (BASE - BASE[vertex]).norm(dim=1).argsort()[[1, -1]]
     assert moved[vertex, 1] > moved[near, 1] > 0.2 * moved[vertex, 1]
     assert (shapes(parameters) - before)[:, vertex, 1].min() > 10 * (shapes(parameters) - before)[:, far].abs().max()
+
+
+def test_an_asymmetric_base_shape_learns_without_mirroring_alone() -> None:
+    mesh = base_mesh()
+    slanted = mesh.directions + 0.1 * mesh.directions[:, [1, 0, 2]]
+    asymmetric = mesh._replace(directions=slanted)
+    with pytest.raises(ConfigError, match=r"base_learning\.mirror"):
+        FreeFormShapes(asymmetric, 0.1, 0.5, mirror=True, base_learning=BaseLearningConfig(4.0, 2.0, mirror=True))
+    shapes = FreeFormShapes(asymmetric, 0.1, 0.5, mirror=True, base_learning=BaseLearningConfig(4.0, 2.0, mirror=False))
+    assert shapes.base_offsets is not None
+    with torch.no_grad():
+        shapes.base_offsets.parameters_by_vertex[int(BASE[:, 0].argmax()), 1] = 0.1
+    moved = shapes.base() - BASE
+    assert (reflect(moved)[mirror_index(BASE)] - moved).abs().max() > 0.01
+
+
+def test_surfaces_that_touch_can_learn() -> None:
+    mesh = base_mesh()
+    on_plane = (mesh.directions[:, 0].abs() < 1e-6).nonzero().flatten()
+    vertices = mesh.vertices.clone()
+    vertices[0, on_plane[0]] = vertices[0, on_plane[1]]
+    FreeFormShapes(
+        mesh._replace(vertices=vertices), 0.1, 0.5, mirror=True, base_learning=BaseLearningConfig(4.0, 2.0, mirror=True)
+    )
+
+
+def test_a_base_shape_stays_in_the_unit_cube() -> None:
+    shapes = free_form(mirror=True)
+    assert shapes.base_offsets is not None
+    with torch.no_grad():
+        shapes.base_offsets.parameters_by_vertex.copy_(-0.1 * BASE)  # shrink
+    torch.testing.assert_close((shapes.base().amax(0) - shapes.base().amin(0)).amax(), torch.tensor(1.0))
 
 
 def test_without_learning_the_base_shape_has_nothing_to_learn() -> None:
