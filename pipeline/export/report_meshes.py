@@ -1,4 +1,4 @@
-"""The meshes that the report's viewer shows: reconstructions, and base shapes of all seeds and after remeshing."""
+"""The meshes that the report's viewer shows: reconstructions, and base shapes of all seeds and after full training."""
 
 from collections.abc import Mapping
 
@@ -49,13 +49,13 @@ def reconstruction_exhibits(
 
 
 def base_exhibit(base: Float[Tensor, "V 3"], gallery: Gallery) -> Exhibit:
-    """Show the base shape after remeshing, with the mean of all textures."""
+    """Show the base shape after full training, with the mean of all textures."""
     found = gallery.reconstructions
     texture = found.textures.mean(0)
     return Exhibit(
         key="base",
         group=BASE_SHAPES,
-        name="remeshed base",
+        name="base as trained",
         glb=encode_glb(unwrap(base, found.faces, found.directions, texture.shape[-1]), texture),
         textured=True,
         azimuth=CORNER_AZIMUTH,
