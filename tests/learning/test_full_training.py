@@ -269,19 +269,29 @@ def test_fine_tuning_moves_only_background_pose_and_shape(tmp_path: Path) -> Non
     torch.testing.assert_close(results["textures"], inferred(model, images.float() / 255).texture_maps)
 
 
+def train_with_known_poses(images: Tensor, poses: Tensor, iterations: int) -> FullTrainer:
+    """Train on photographs whose poses are recorded, without a search for shapes."""
+    extractor = tiny_extractor()
+    config = replace(
+        TRAINING,
+        iterations=iterations,
+        learning_rate=3e-3,
+        exploration=replace(TRAINING.exploration, shapes=None),
+        photographs_per_iteration=float(len(images)),
+    )
+    trainer = FullTrainer(config, Photographs(images, extractor, 4, MEMORY), extractor, base_mesh(), 0)
+    trainer.record.pose.copy_(poses)
+    for iteration in range(iterations):
+        trainer.step(iteration)
+    return trainer
+
+
 def test_predicted_shapes_differ_as_the_photographed_ones_do() -> None:
     poses = tiny_model().poses.draw(48, generator(2))
     shape = torch.zeros(48, tiny_model().shapes.parameter_count)
     shape[::2, -2], shape[1::2, -2] = 2.0, -2.0  # high and low bodies by turns: logarithms .8 apart
-    images, extractor = photographs_of(poses, shape=shape), tiny_extractor()
-    exploration = replace(TRAINING.exploration, shapes=None)
-    config = replace(
-        TRAINING, iterations=120, learning_rate=3e-3, exploration=exploration, photographs_per_iteration=48.0
-    )
-    trainer = FullTrainer(config, Photographs(images, extractor, 4, MEMORY), extractor, base_mesh(), 0)
-    trainer.record.pose.copy_(poses)
-    for iteration in range(config.iterations):
-        trainer.step(iteration)
+    images = photographs_of(poses, shape=shape)
+    trainer = train_with_known_poses(images, poses, 120)
     with torch.no_grad():
         vertices = trainer.model.shapes(trainer.estimate(*trainer.photographs.batch(torch.arange(len(images)))).shape)
     extent = vertices.amax(dim=1) - vertices.amin(dim=1)
@@ -294,16 +304,7 @@ def test_the_base_shape_learns_what_all_photographs_share() -> None:
     poses = tiny_model().poses.draw(24, generator(2))
     wide = torch.zeros(24, tiny_model().shapes.parameter_count)
     wide[:, -3] = 2.0  # the logarithm of the width is .4 above the base mesh's
-    images, extractor = photographs_of(poses, shape=wide), tiny_extractor()
-    exploration = replace(TRAINING.exploration, shapes=None)
-    config = replace(
-        TRAINING, iterations=60, learning_rate=3e-3, exploration=exploration, photographs_per_iteration=24.0
-    )
-    trainer = FullTrainer(config, Photographs(images, extractor, 4, MEMORY), extractor, base_mesh(), 0)
-    trainer.record.pose.copy_(poses)
-    for iteration in range(config.iterations):
-        trainer.step(iteration)
-    learned, given = (
-        proportions(one)[0, 0] for one in (trainer.model.shapes.base().detach()[None], base_mesh().vertices)
-    )
+    trainer = train_with_known_poses(photographs_of(poses, shape=wide), poses, 60)
+    shapes = torch.stack([trainer.model.shapes.base().detach(), base_mesh().vertices[0]])
+    learned, given = proportions(shapes)[:, 0]
     assert 0.1 < learned - given < 0.6

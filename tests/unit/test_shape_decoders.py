@@ -63,9 +63,9 @@ def test_surfaces_that_touch_can_learn() -> None:
     on_plane = (mesh.directions[:, 0].abs() < 1e-6).nonzero().flatten()
     vertices = mesh.vertices.clone()
     vertices[0, on_plane[0]] = vertices[0, on_plane[1]]
-    FreeFormShapes(
-        mesh._replace(vertices=vertices), 0.1, 0.5, mirror=True, base_learning=BaseLearningConfig(4.0, 2.0, mirror=True)
-    )
+    learning = BaseLearningConfig(4.0, 2.0, mirror=True)
+    shapes = FreeFormShapes(mesh._replace(vertices=vertices), 0.1, 0.5, mirror=True, base_learning=learning)
+    torch.testing.assert_close(shapes.base(), vertices[0])
 
 
 def test_a_base_shape_stays_in_the_unit_cube() -> None:
