@@ -11,6 +11,7 @@ from pipeline.geometry.compliance import compliance_matrix
 from pipeline.geometry.ffd import CONTROL_POINTS, control_point_weights, deform
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.symmetry import mirror_index, symmetrize
+from pipeline.geometry.topology import laplacian_matrix
 from pipeline.rendering.renderer import Mesh
 
 SLOPE = 0.1
@@ -34,6 +35,7 @@ class BaseOffsets(nn.Module):
     """Offsets of a base shape's vertices, which all photographs of a category share and teach together (ours)."""
 
     compliance: Float[Tensor, "V V"]
+    laplacian: Float[Tensor, "V V"]
     mirrored_vertices: Int[Tensor, " V"] | None
 
     def __init__(self, base: Mesh, config: BaseLearningConfig) -> None:
@@ -41,13 +43,22 @@ class BaseOffsets(nn.Module):
         super().__init__()
         self.parameters_by_vertex = nn.Parameter(torch.zeros_like(base.vertices[0]))
         compliance = config.reach * compliance_matrix(base.faces, config.stiffness)
+        laplacian = laplacian_matrix(base.faces)
         self.register_buffer("compliance", compliance, persistent=False)
+        self.register_buffer("laplacian", laplacian / laplacian.diagonal()[:, None], persistent=False)
         self.register_buffer("mirrored_vertices", _mirror_of(base) if config.mirror else None, persistent=False)
 
     def forward(self) -> Float[Tensor, "V 3"]:
         """Return the offsets in world units. Gradients flow to the parameters."""
         offsets = self.compliance @ self.parameters_by_vertex
         return offsets if self.mirrored_vertices is None else symmetrize(offsets, self.mirrored_vertices)
+
+    def roughness(self) -> Float[Tensor, ""]:
+        """Return the sum over vertices of the squared distance of an offset from the mean of its neighbours'.
+
+        Of offsets, not of the shape: what no photograph asks for, such as relief, stays as it was learned.
+        """
+        return (self.laplacian @ self()).square().sum()
 
 
 def _mirror_of(base: Mesh) -> Int[Tensor, " V"]:
@@ -102,10 +113,6 @@ class FreeFormShapes(nn.Module):
             return self.base_vertices
         return fit_unit_cube((self.base_vertices + self.base_offsets())[None])[0]
 
-    def learned_by_vertex(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "_ V 3"] | None:  # noqa: ARG002
-        """Return the shapes that could become rough: the base shape, where it goes on learning."""
-        return None if self.base_offsets is None else self.base()[None]
-
     def forward(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
         """Return the deformed vertices, scaled into the unit cube. Gradients flow to parameters and base shape."""
         return self._deform(self.base(), parameters)
@@ -159,10 +166,6 @@ class OffsetShapes(nn.Module):
     def base(self) -> Float[Tensor, "V 3"]:
         """Return the ellipsoid."""
         return self.base_vertices
-
-    def learned_by_vertex(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "_ V 3"] | None:
-        """Return the shapes that could become rough: all of them."""
-        return self(parameters)
 
     def around_fixed_base(self, parameters: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
         """Return the same vertices: an ellipsoid does not learn."""

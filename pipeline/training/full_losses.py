@@ -17,6 +17,7 @@ from pipeline.networks.discriminator import ViewDiscriminator
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.networks.pose_decoder import PoseRegression, regression_error
+from pipeline.networks.shapes import OffsetShapes
 from pipeline.training.exploration import Best, Estimate
 
 
@@ -37,11 +38,15 @@ class LossConfig:
     """Of vertices, in units of the cube; 0 where no shapes are searched for, because the estimated one is the best."""
     rendered_shape_regression: float
     """The same in the random views, whose shapes are known: what a view does not show is read as it mostly is."""
+    shape_prior: float
+    """Of estimated vertices' squared distances to the base shape's, in units of the cube (ours): what a picture does
+    not show stays as it mostly is."""
     total_variation: float
     view_prior: float
     smoothness: SmoothnessConfig
-    """Of single-stage training's shapes and of a base shape that goes on learning: a grid around a base shape cannot
-    become rough (paper section 4.1.3)."""
+    """Of single-stage training's shapes: a grid around a base shape cannot become rough (paper section 4.1.3)."""
+    base_roughness: float
+    """Of the offsets of a base shape that goes on learning."""
 
 
 class FullLoss:
@@ -87,9 +92,20 @@ class FullLoss:
             + config.total_variation * terms["total_variation"]
             + config.view_prior * terms["view_prior"]
         )
-        if (learned := model.shapes.learned_by_vertex(estimate.shape)) is not None:
-            terms["smoothness"] = smoothness(learned, self.topology, config.smoothness).mean()
-            terms["loss"] = terms["loss"] + terms["smoothness"]
+        for name, (weight, term) in self.shape_terms(estimate.shape).items():
+            terms[name] = term
+            terms["loss"] = terms["loss"] + weight * term
+        return terms
+
+    def shape_terms(self, shape: Float[Tensor, "B K"]) -> dict[str, tuple[float, Float[Tensor, ""]]]:
+        """Return what holds the estimated shapes and the base shape where pictures do not, and its weights."""
+        config, shapes = self.config, self.model.shapes
+        if isinstance(shapes, OffsetShapes):
+            return {"smoothness": (1.0, smoothness(shapes(shape), self.topology, config.smoothness).mean())}
+        deviation = shapes.around_fixed_base(shape) - shapes.base().detach()
+        terms = {"shape_prior": (config.shape_prior, deviation.square().sum(dim=-1).mean())}
+        if shapes.base_offsets is not None:
+            terms["base_roughness"] = config.base_roughness, shapes.base_offsets.roughness()
         return terms
 
     def mirrored_regression(self, estimate: Estimate, best: Best) -> Float[Tensor, ""]:

@@ -95,12 +95,12 @@ def test_each_ablation_changes_what_its_name_says() -> None:
     weights = ("total_variation", "mirrored_regression", "laplacian_squared_weight", "angle_squared_weight")
     free = {"mirror_texture": False, "stripes": False, "mirror": False, **dict.fromkeys(weights, 0)}
     additions = dict.fromkeys(
-        ("iterations", "mirrored_regression", "rendered_regression", "rendered_shape_regression"), 0
+        ("iterations", "mirrored_regression", "rendered_regression", "rendered_shape_regression", "shape_prior"), 0
     )
     assert changed == {
         "none": {},
         **constraints,
-        "no-smoothness": {"smoothness": False, "laplacian_squared_weight": 0, "angle_squared_weight": 0},
+        "no-smoothness": {"smoothness": False, "base_roughness": 0},
         "no-symmetry": {"symmetry": False, "mirror": False},
         "fixed-base": {"base_learning": None},
         "single-stage": single_stage,

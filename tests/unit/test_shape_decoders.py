@@ -68,6 +68,21 @@ def test_surfaces_that_touch_can_learn() -> None:
     torch.testing.assert_close(shapes.base(), vertices[0])
 
 
+def test_offsets_are_rough_where_they_differ_from_their_neighbours() -> None:
+    offsets, faces = free_form(mirror=True).base_offsets, base_mesh().faces
+    assert offsets is not None
+    with torch.no_grad():
+        offsets.parameters_by_vertex[:, 1] = 0.1  # all are moved alike
+    assert offsets.roughness() < 1e-9
+    with torch.no_grad():
+        offsets.parameters_by_vertex[5, 2] = 0.1
+    moved, expected = offsets().detach(), 0.0
+    for vertex in range(len(moved)):
+        neighbours = faces[(faces == vertex).any(dim=1)].unique()
+        expected += float((moved[vertex] - moved[neighbours[neighbours != vertex]].mean(dim=0)).square().sum())
+    assert offsets.roughness().item() == pytest.approx(expected, rel=1e-4)
+
+
 def test_a_base_shape_stays_in_the_unit_cube() -> None:
     shapes = free_form(mirror=True)
     assert shapes.base_offsets is not None
