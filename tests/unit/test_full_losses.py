@@ -91,10 +91,11 @@ def test_the_deepest_map_counts_by_its_weight(name: str) -> None:
         ("total_variation", TEXTURES),
         ("view_prior", TEXTURES | BACKGROUNDS | {"shapes", "discriminator"}),
         ("base_roughness", {"shapes"}),
+        ("smoothness", {"shape_encoder", "shape_decoder"}),
     ],
 )
 def test_a_term_teaches_its_networks_alone(name: str, taught: set[str]) -> None:
-    trainer = trainer_of()
+    trainer = trainer_of(two_stage=name != "smoothness")
     terms_of(trainer)[name].backward()
     networks = {**dict(trainer.model.named_children()), "discriminator": trainer.discriminator}
     assert {part for part, network in networks.items() if learns(network)} == taught
