@@ -16,9 +16,9 @@ from pipeline.distributed import is_first, world
 from pipeline.files import save_tensors
 from pipeline.networks.scene_generator import scene_tensors
 from pipeline.training.base_shape import SeedTrainer, build_sphere, learn_base_shape
+from pipeline.training.candidates import Record
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.ends import EndsConfig
-from pipeline.training.exploration import Record
 from pipeline.training.features import FeatureTrainer
 from pipeline.training.first_poses import first_poses
 from pipeline.training.full import train_full

@@ -28,7 +28,7 @@ from pipeline.networks.wide_resnet import WideResNet
 from pipeline.rendering.renderer import Mesh, RendererConfig
 from pipeline.seeding import generator, initialised
 from pipeline.training.azimuths import ConsensusConfig
-from pipeline.training.exploration import ExplorationConfig, ShapeSearchConfig
+from pipeline.training.candidates import ExplorationConfig, ShapeSearchConfig
 from pipeline.training.first_poses import FirstPosesConfig
 from pipeline.training.full_losses import LossConfig
 from pipeline.training.full_trainer import EllipsoidConfig, FullTrainingConfig

@@ -13,8 +13,9 @@ from pipeline.geometry.camera import pose_to_tensor
 from pipeline.losses.image_distance import Features, feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel, Reconstruction
+from pipeline.training.candidates import flipped
 from pipeline.training.checkpoint import Checkpoint
-from pipeline.training.exploration import comparable, flipped, require_maps
+from pipeline.training.exploration import comparable, require_maps
 
 Loss = Callable[[Reconstruction], Float[Tensor, " B"]]
 

@@ -18,7 +18,8 @@ from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.networks.pose_decoder import PoseRegression, regression_error
 from pipeline.networks.shapes import OffsetShapes
-from pipeline.training.exploration import Best, Estimate
+from pipeline.training.candidates import Estimate
+from pipeline.training.exploration import Best
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,24 @@ class LossConfig:
     """Of single-stage training's shapes: a grid around a base shape cannot become rough (paper section 4.1.3)."""
     base_roughness: float
     """Of the offsets of a base shape that goes on learning."""
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """Weights by the names of terms; smoothness is weighted inside."""
+        return {
+            "reconstruction": 1.0,
+            "feature_matching": self.feature_matching,
+            "pose_regression": self.pose_regression,
+            "mirrored_regression": self.mirrored_regression,
+            "rendered_regression": self.rendered_regression,
+            "shape_regression": self.shape_regression,
+            "rendered_shape_regression": self.rendered_shape_regression,
+            "shape_prior": self.shape_prior,
+            "total_variation": self.total_variation,
+            "view_prior": self.view_prior,
+            "smoothness": 1.0,
+            "base_roughness": self.base_roughness,
+        }
 
 
 class FullLoss:
@@ -81,31 +100,19 @@ class FullLoss:
             "total_variation": total_variation(estimate.texture_maps),
             **self.other_views(vertices, estimate, best.record.pose, images, rng),
         }
-        terms["loss"] = (
-            terms["reconstruction"]
-            + config.feature_matching * terms["feature_matching"]
-            + config.pose_regression * terms["pose_regression"]
-            + config.mirrored_regression * terms["mirrored_regression"]
-            + config.rendered_regression * terms["rendered_regression"]
-            + config.shape_regression * terms["shape_regression"]
-            + config.rendered_shape_regression * terms["rendered_shape_regression"]
-            + config.total_variation * terms["total_variation"]
-            + config.view_prior * terms["view_prior"]
-        )
-        for name, (weight, term) in self.shape_terms(estimate.shape).items():
-            terms[name] = term
-            terms["loss"] = terms["loss"] + weight * term
+        terms |= self.shape_terms(estimate.shape)
+        terms["loss"] = torch.stack([config.weights[name] * term for name, term in terms.items()]).sum()
         return terms
 
-    def shape_terms(self, shape: Float[Tensor, "B K"]) -> dict[str, tuple[float, Float[Tensor, ""]]]:
-        """Return what holds the estimated shapes and the base shape where pictures do not, and its weights."""
-        config, shapes = self.config, self.model.shapes
+    def shape_terms(self, shape: Float[Tensor, "B K"]) -> dict[str, Float[Tensor, ""]]:
+        """Return what holds the estimated shapes and the base shape where pictures do not."""
+        shapes = self.model.shapes
         if isinstance(shapes, OffsetShapes):
-            return {"smoothness": (1.0, smoothness(shapes(shape), self.topology, config.smoothness).mean())}
+            return {"smoothness": smoothness(shapes(shape), self.topology, self.config.smoothness).mean()}
         deviation = shapes.around_fixed_base(shape) - shapes.base().detach()
-        terms = {"shape_prior": (config.shape_prior, deviation.square().sum(dim=-1).mean())}
+        terms = {"shape_prior": deviation.square().sum(dim=-1).mean()}
         if shapes.base_offsets is not None:
-            terms["base_roughness"] = config.base_roughness, shapes.base_offsets.roughness()
+            terms["base_roughness"] = shapes.base_offsets.roughness()
         return terms
 
     def mirrored_regression(self, estimate: Estimate, best: Best) -> Float[Tensor, ""]:

@@ -18,17 +18,17 @@ from pipeline.networks.pose_coordinates import POSE_COORDINATES
 from pipeline.networks.scene_generator import LearnedScenes
 from pipeline.rendering.renderer import Mesh
 from pipeline.seeding import generator, initialised
-from pipeline.training.checkpoint import Part
-from pipeline.training.ends import EndsConfig, tell_ends
-from pipeline.training.exploration import (
+from pipeline.training.candidates import (
     Estimate,
     ExplorationConfig,
     Record,
-    explore,
     first_record,
     flipped,
     refining,
 )
+from pipeline.training.checkpoint import Part
+from pipeline.training.ends import EndsConfig, tell_ends
+from pipeline.training.exploration import explore
 from pipeline.training.first_poses import FirstPosesConfig, first_poses, read_poses
 from pipeline.training.full_losses import FullLoss, LossConfig
 from pipeline.training.lessons import LessonsConfig, learn_poses

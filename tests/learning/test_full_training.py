@@ -14,10 +14,11 @@ from pipeline.evaluation.shape import proportions
 from pipeline.networks.feature_extractor import extract
 from pipeline.networks.pose_coordinates import PoseRange
 from pipeline.seeding import generator
+from pipeline.training.candidates import flipped
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.curves import Curve
 from pipeline.training.ends import EndsConfig
-from pipeline.training.exploration import flipped, score
+from pipeline.training.exploration import score
 from pipeline.training.fine_tune import FineTuneConfig, PhaseConfig, fine_tune
 from pipeline.training.first_poses import read_poses
 from pipeline.training.full import train_full

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from pipeline.errors import ConfigError
 from pipeline.seeding import generator
+from pipeline.training.candidates import flipped
 from pipeline.training.ends import EndsConfig, consistent_axes, facing, facing_with_preferred_end, tell_ends
-from pipeline.training.exploration import flipped
 from pipeline.training.first_poses import cut_to_box
 from tests.tiny_full_model import MODEL, photographs_of, tiny_extractor, tiny_model
 

@@ -9,18 +9,16 @@ from pipeline.losses.image_distance import Features, feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.seeding import generator
-from pipeline.training.exploration import (
+from pipeline.training.candidates import (
     Estimate,
     Record,
     ShapeSearchConfig,
     candidates,
-    comparable,
-    explore,
     first_record,
     refining,
-    score,
     within_reach,
 )
+from pipeline.training.exploration import comparable, explore, score
 from tests.tiny_full_model import TRAINING, exact_regression, photographs, tiny_extractor, tiny_model
 
 CONFIG = TRAINING.exploration

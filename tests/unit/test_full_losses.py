@@ -8,7 +8,8 @@ from torch import Tensor, nn
 
 from pipeline.losses.smoothness import SmoothnessConfig
 from pipeline.seeding import generator
-from pipeline.training.exploration import Best, Record
+from pipeline.training.candidates import Record
+from pipeline.training.exploration import Best
 from pipeline.training.full_trainer import FullTrainer
 from pipeline.training.photographs import Photographs
 from tests.tiny_full_model import TRAINING, base_mesh, photographs, tiny_extractor

@@ -7,7 +7,8 @@ import torch
 from pipeline.losses.total_variation import total_variation
 from pipeline.losses.view_prior import reverse_gradient, view_prior_loss
 from pipeline.networks.pose_decoder import PoseRegression
-from pipeline.training.exploration import Best, Estimate, Record
+from pipeline.training.candidates import Estimate, Record
+from pipeline.training.exploration import Best
 from pipeline.training.full_losses import pose_regression
 
 

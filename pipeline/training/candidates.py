@@ -1,0 +1,211 @@
+"""Poses and shapes that are tried for each training photograph (paper sections 3.2.1 and 3.2.2).
+
+Candidates are laid out one after the other, each for the whole batch: row `candidate * batch + photograph`. Processes
+that share a batch draw alike for all of its photographs and keep what belongs to their own.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from pipeline.device import constant
+from pipeline.distributed import share, whole
+from pipeline.networks.full_model import FullModel
+from pipeline.networks.pose_decoder import PoseRegression
+
+_SAME_SIDE = 90.0
+"""Degrees of azimuth, either way, beyond which a pose shows the object from the far side."""
+
+FIRST_HEAD = 2
+"""Index of the ensemble's first candidate, after the recorded pose and the student's."""
+
+
+@dataclass(frozen=True)
+class ShapeSearchConfig:
+    """How many shapes a photograph gets in one iteration, and how far they lie from its record.
+
+    Sizes are those of the shape space's `draw`.
+    """
+
+    random: int
+    """Drawn around the base shape."""
+    perturbed: int
+    """Drawn around the recorded shape."""
+    step: tuple[float, float]
+    """Smallest and largest size of a perturbation; drawn log-uniformly."""
+    spread: float
+    """Of random shapes."""
+
+
+@dataclass(frozen=True)
+class ExplorationConfig:
+    """How many candidates of each kind a photograph gets in one iteration, and how far they lie from its record."""
+
+    map_weights: tuple[float, ...]
+    """Weights of the pictures and of the first feature maps when candidates are compared, see `comparable`."""
+    random_poses: int
+    """Drawn from the whole pose range."""
+    turned_poses: int
+    """The recorded pose with other azimuths, evenly spread over the circle from a random start."""
+    raised_poses: int
+    """The recorded pose with other elevations, evenly spread over their range from a random start.
+
+    A small picture fits about as well from a wrong elevation, by a shape that is wrong too: a search in small steps
+    would leave the elevation where it was, and shapes would make up for it.
+    """
+    flipped_poses: int
+    """Up to three: the recorded pose from the opposite side, with left and right, and with front and rear swapped.
+
+    The outlines of such views hardly differ, so that neither gradients nor small steps lead from one to the other.
+    """
+    perturbed_poses: int
+    """Near the recorded pose."""
+    shapes: ShapeSearchConfig | None
+    """None searches for no shapes: the estimated one is the best, and always learns."""
+    pose_step: tuple[float, float]
+    """Smallest and largest standard deviation of a perturbation, in pose coordinates; drawn log-uniformly."""
+    azimuth_reach: float
+    """Largest angle, in degrees, between the azimuths of a winner and of the record; 180 admits all."""
+
+
+def refining(config: ExplorationConfig) -> ExplorationConfig:
+    """Return the config of poses from the record's side: no random, turned or flipped ones, no winner far from it."""
+    reach = min(config.azimuth_reach, _SAME_SIDE)
+    return replace(config, random_poses=0, turned_poses=0, flipped_poses=0, azimuth_reach=reach)
+
+
+class Record(NamedTuple):
+    """The best pose and shape found so far for some photographs."""
+
+    pose: Float[Tensor, "N 7"]
+    """Pose coordinates, see `PoseCoordinates`."""
+    shape: Float[Tensor, "N K"]
+    """Shape parameters; the last estimate where no shapes are searched for."""
+
+    def rows(self, index: Int[Tensor, " B"]) -> "Record":
+        """Return the record of some photographs."""
+        return Record(self.pose[index], self.shape[index])
+
+
+class Estimate(NamedTuple):
+    """What the networks predict for a batch of photographs."""
+
+    student: PoseRegression
+    heads: PoseRegression
+    """In rows of `B heads`."""
+    mirrored: PoseRegression
+    """The student's prediction for the photographs' mirror images."""
+    shape: Float[Tensor, "B K"]
+    texture_maps: Float[Tensor, "B 3 T T"]
+    backgrounds: Float[Tensor, "B 3 H W"]
+
+
+def first_record(model: FullModel, count: int, rng: torch.Generator) -> Record:
+    """Start with random poses and the base shape."""
+    return Record(model.poses.draw(count, rng), torch.zeros(count, model.shapes.parameter_count, device=rng.device))
+
+
+def candidates(
+    model: FullModel, estimate: Estimate, record: Record, config: ExplorationConfig, rng: torch.Generator
+) -> tuple[Float[Tensor, "candidates B 7"], Float[Tensor, "candidates B K"]]:
+    """List poses (recorded, estimated, near, turned, raised, flipped, random), then shapes.
+
+    Poses come with the recorded shape, shapes with the recorded pose.
+
+    Where no shapes are searched for, all poses come with the estimated shape, whose gradients flow.
+    """
+    batch = len(record.pose)
+    poses = torch.cat(
+        [
+            record.pose[None],
+            estimate.student.coordinates[None],
+            estimate.heads.coordinates.transpose(0, 1),
+            _near_poses(record.pose, config, rng),
+            _turned(record.pose, config.turned_poses, rng),
+            _raised(record.pose, config.raised_poses, rng),
+            flipped(record.pose, config.flipped_poses),
+            _random_poses(model, batch, config, rng),
+        ]
+    )
+    poses = model.poses.clamp(poses)
+    if config.shapes is None:
+        return poses, estimate.shape.expand(len(poses), -1, -1)
+    shapes = torch.cat(
+        [
+            estimate.shape[None],
+            _near_shapes(model, record.shape, config.shapes, rng),
+            _random_shapes(model, batch, config.shapes, rng),
+        ]
+    )
+    pose_count, shape_count = len(poses), len(shapes)
+    return (
+        torch.cat([poses, record.pose.expand(shape_count, -1, -1)]),
+        torch.cat([record.shape.expand(pose_count, -1, -1), shapes]),
+    )
+
+
+def within_reach(
+    poses: Float[Tensor, "candidates B 7"], recorded: Float[Tensor, "B 7"], azimuth_reach: float
+) -> Bool[Tensor, "candidates B"]:
+    """Tell which candidates' azimuths lie within some degrees of the recorded ones."""
+    cosine = (poses[..., :2] * recorded[:, :2]).sum(dim=-1)
+    return cosine >= math.cos(math.radians(azimuth_reach)) - 1e-5
+
+
+def flipped(pose: Float[Tensor, "B 7"], count: int) -> Float[Tensor, "count B 7"]:
+    """Turn poses to the opposite side, swap left and right, swap front and rear: the first `count` of the three."""
+    cosine_and_sine = constant(((-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0)), pose)[:count, None]
+    return torch.cat([cosine_and_sine * pose[:, :2], pose[:, 2:].expand(count, -1, -1)], dim=2)
+
+
+def _near_poses(
+    recorded: Float[Tensor, "B 7"], config: ExplorationConfig, rng: torch.Generator
+) -> Float[Tensor, "count B 7"]:
+    rows = (config.perturbed_poses, whole(len(recorded)))
+    size = _sizes(rows, config.pose_step, rng)
+    return recorded + share(size * torch.randn(*rows, 7, generator=rng, device=rng.device), dim=1)
+
+
+def _near_shapes(
+    model: FullModel, recorded: Float[Tensor, "B K"], config: ShapeSearchConfig, rng: torch.Generator
+) -> Float[Tensor, "count B K"]:
+    rows = (config.perturbed, whole(len(recorded)))
+    size = _sizes(rows, config.step, rng)
+    return recorded + share(size * model.shapes.draw(math.prod(rows), 1.0, rng).unflatten(0, rows), dim=1)
+
+
+def _sizes(rows: tuple[int, int], step: tuple[float, float], rng: torch.Generator) -> Float[Tensor, "count B 1"]:
+    smallest, largest = step
+    return smallest * (largest / smallest) ** torch.rand(*rows, 1, generator=rng, device=rng.device)
+
+
+def _turned(recorded: Float[Tensor, "B 7"], count: int, rng: torch.Generator) -> Float[Tensor, "count B 7"]:
+    azimuth = 2 * math.pi * _spread(len(recorded), count, rng)
+    turn = torch.stack([azimuth.cos(), azimuth.sin()], dim=2)
+    return torch.cat([turn, recorded[:, 2:].expand(count, -1, -1)], dim=2)
+
+
+def _raised(recorded: Float[Tensor, "B 7"], count: int, rng: torch.Generator) -> Float[Tensor, "count B 7"]:
+    elevation = 2 * _spread(len(recorded), count, rng) - 1
+    others = recorded.expand(count, -1, -1)
+    return torch.cat([others[..., :2], elevation[..., None], others[..., 3:]], dim=2)
+
+
+def _spread(batch: int, count: int, rng: torch.Generator) -> Float[Tensor, "count B"]:
+    """Spread numbers evenly over [0, 1), each photograph's from a random start."""
+    start = share(torch.rand(1, whole(batch), generator=rng, device=rng.device), dim=1)
+    return (start + torch.arange(count, device=rng.device)[:, None]) / max(count, 1)
+
+
+def _random_poses(model: FullModel, batch: int, config: ExplorationConfig, rng: torch.Generator) -> Tensor:
+    drawn = model.poses.draw(config.random_poses * whole(batch), rng)
+    return share(drawn.unflatten(0, (config.random_poses, whole(batch))), dim=1)
+
+
+def _random_shapes(model: FullModel, batch: int, config: ShapeSearchConfig, rng: torch.Generator) -> Tensor:
+    drawn = model.shapes.draw(config.random * whole(batch), config.spread, rng)
+    return share(drawn.unflatten(0, (config.random, whole(batch))), dim=1)
