@@ -101,7 +101,8 @@ class FullLoss:
             **self.other_views(vertices, estimate, best.record.pose, images, rng),
         }
         terms |= self.shape_terms(estimate.shape)
-        terms["loss"] = torch.stack([config.weights[name] * term for name, term in terms.items()]).sum()
+        weights = config.weights
+        terms["loss"] = torch.stack([weights[name] * term for name, term in terms.items()]).sum()
         return terms
 
     def shape_terms(self, shape: Float[Tensor, "B K"]) -> dict[str, Float[Tensor, ""]]:
