@@ -1,14 +1,44 @@
-"""Scaling of shapes into the unit cube."""
+"""Bounding boxes, and scaling of shapes into the unit cube."""
+
+from typing import NamedTuple
 
 from jaxtyping import Float
 from torch import Tensor
 
 
+_LEAST_DEVIATION = 1e-9
+"""Of points along an axis, below which they do not stretch."""
+
+
+class Box(NamedTuple):
+    """The bounding boxes of some sets of points."""
+
+    center: Float[Tensor, "B 1 K"]
+    sides: Float[Tensor, "B 1 K"]
+
+
+def bounding_box(points: Float[Tensor, "B V K"]) -> Box:
+    """Return bounding boxes. Gradients flow to the outermost points."""
+    lower, upper = points.amin(dim=1, keepdim=True), points.amax(dim=1, keepdim=True)
+    return Box((lower + upper) / 2, upper - lower)
+
+
+def spread_gradients(box: Box, points: Float[Tensor, "B V K"]) -> Box:
+    """Return the points' boxes with gradients that are spread over all of them.
+
+    A box then moves with the mean of its points and grows with their deviation: where all are moved or stretched alike,
+    those are the derivatives. By the derivatives of `bounding_box` each of the few outermost points of a shape moves
+    and scales all the others, and growing a tip is the cheapest way to move the whole shape (docs/decisions.md).
+    """
+    mean, deviation = points.mean(dim=1, keepdim=True), points.std(dim=1, keepdim=True, correction=0)
+    growth = (deviation - deviation.detach()) / deviation.detach().clamp_min(_LEAST_DEVIATION)
+    return Box(box.center + (mean - mean.detach()), box.sides * (1 + growth))
+
+
 def fit_unit_cube(vertices: Float[Tensor, "B V 3"]) -> Float[Tensor, "B V 3"]:
     """Centre each bounding box at the origin and scale its longest side to 1, so that shapes fit [-0.5, 0.5]^3.
 
-    Proportions are kept. Gradients flow through the centre and the scale. Paper 3.1.1.
+    Proportions are kept. Gradients flow through the centre and the scale, see `spread_gradients`. Paper 3.1.1.
     """
-    lower, upper = vertices.amin(dim=1, keepdim=True), vertices.amax(dim=1, keepdim=True)
-    longest_side = (upper - lower).amax(dim=2, keepdim=True)
-    return (vertices - (lower + upper) / 2) / longest_side
+    center, sides = spread_gradients(bounding_box(vertices.detach()), vertices)
+    return (vertices - center) / sides.amax(dim=2, keepdim=True)

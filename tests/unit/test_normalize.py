@@ -1,6 +1,7 @@
 import torch
+from torch import Tensor
 
-from pipeline.geometry.normalize import fit_unit_cube
+from pipeline.geometry.normalize import bounding_box, fit_unit_cube, spread_gradients
 
 
 def test_longest_side_is_one_and_box_is_centred() -> None:
@@ -16,6 +17,30 @@ def test_proportions_are_kept() -> None:
     torch.testing.assert_close(fit_unit_cube(vertices)[0, 1], torch.tensor([0.5, 0.25, 0.125]))
 
 
-def test_gradient() -> None:
-    vertices = torch.rand(1, 6, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1)).requires_grad_()
-    assert torch.autograd.gradcheck(fit_unit_cube, vertices)
+def test_gradients_are_the_derivatives_where_all_points_are_moved_or_stretched_alike() -> None:
+    shape = torch.rand(1, 30, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) - 0.5
+
+    def fitted(moved: Tensor, stretched: Tensor) -> Tensor:
+        return fit_unit_cube(stretched.exp() * (shape - shape.mean(dim=1)) + moved)
+
+    zeros = torch.zeros(3, dtype=torch.float64, requires_grad=True)
+    moved, stretched = torch.autograd.functional.jacobian(fitted, (zeros, zeros))
+    assert moved.abs().max().item() < 1e-12
+    step = torch.tensor([0.0, 0.0, 1e-6], dtype=torch.float64)
+    difference = (fitted(zeros, step) - fitted(zeros, -step)) / 2e-6
+    torch.testing.assert_close(stretched[..., 2] - stretched[..., 2].mean(dim=1), difference - difference.mean(dim=1))
+
+
+def test_an_outermost_vertex_moves_the_others_no_more_than_any_vertex() -> None:
+    shape = torch.rand(1, 30, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    derivatives = torch.autograd.functional.jacobian(lambda moved: fit_unit_cube(moved)[0, 0, 1], shape)[0, :, 1]
+    assert (derivatives[1:].max() - derivatives[1:].min()).item() < 1e-9
+
+
+def test_points_that_are_all_the_same_have_a_box_without_sides() -> None:
+    points = torch.ones(1, 4, 2, requires_grad=True)
+    center, sides = spread_gradients(bounding_box(points.detach()), points)
+    assert center.tolist() == [[[1, 1]]]
+    assert sides.tolist() == [[[0, 0]]]
+    (gradient,) = torch.autograd.grad(sides.sum(), points)
+    assert gradient.abs().max().item() == 0
