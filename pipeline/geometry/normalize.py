@@ -5,7 +5,6 @@ from typing import NamedTuple
 from jaxtyping import Float
 from torch import Tensor
 
-
 _LEAST_DEVIATION = 1e-9
 """Of points along an axis, below which they do not stretch."""
 
@@ -26,13 +25,14 @@ def bounding_box(points: Float[Tensor, "B V K"]) -> Box:
 def spread_gradients(box: Box, points: Float[Tensor, "B V K"]) -> Box:
     """Return the points' boxes with gradients that are spread over all of them.
 
-    A box then moves with the mean of its points and grows with their deviation: where all are moved or stretched alike,
-    those are the derivatives. By the derivatives of `bounding_box` each of the few outermost points of a shape moves
-    and scales all the others, and growing a tip is the cheapest way to move the whole shape (docs/decisions.md).
+    A box then moves with the mean of its points and grows with their deviation: where all are moved or stretched along
+    the axes alike, those are the derivatives. By the derivatives of `bounding_box` each of the few outermost points of
+    a shape moves and scales all the others, and growing a tip is the cheapest way to move it (docs/decisions.md).
     """
     mean, deviation = points.mean(dim=1, keepdim=True), points.std(dim=1, keepdim=True, correction=0)
     growth = (deviation - deviation.detach()) / deviation.detach().clamp_min(_LEAST_DEVIATION)
-    return Box(box.center + (mean - mean.detach()), box.sides * (1 + growth))
+    moved = (mean - mean.detach()) + (box.center - mean).detach() * growth
+    return Box(box.center + moved, box.sides * (1 + growth))
 
 
 def fit_unit_cube(vertices: Float[Tensor, "B V 3"]) -> Float[Tensor, "B V 3"]:

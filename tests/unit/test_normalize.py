@@ -18,23 +18,21 @@ def test_proportions_are_kept() -> None:
 
 
 def test_gradients_are_the_derivatives_where_all_points_are_moved_or_stretched_alike() -> None:
-    shape = torch.rand(1, 30, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1)) - 0.5
+    shape = torch.rand(1, 30, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
 
     def fitted(moved: Tensor, stretched: Tensor) -> Tensor:
-        return fit_unit_cube(stretched.exp() * (shape - shape.mean(dim=1)) + moved)
+        return fit_unit_cube(stretched.exp() * shape + moved)
 
     zeros = torch.zeros(3, dtype=torch.float64, requires_grad=True)
-    moved, stretched = torch.autograd.functional.jacobian(fitted, (zeros, zeros))
-    assert moved.abs().max().item() < 1e-12
-    step = torch.tensor([0.0, 0.0, 1e-6], dtype=torch.float64)
-    difference = (fitted(zeros, step) - fitted(zeros, -step)) / 2e-6
-    torch.testing.assert_close(stretched[..., 2] - stretched[..., 2].mean(dim=1), difference - difference.mean(dim=1))
+    assert torch.autograd.gradcheck(fitted, (zeros, zeros.clone().detach().requires_grad_()))
+    _, stretched = torch.autograd.functional.jacobian(fitted, (zeros, zeros))
+    assert stretched.sum(dim=-1).abs().max().item() < 1e-12  # or sizes, which no picture shows, would drift
 
 
 def test_an_outermost_vertex_moves_the_others_no_more_than_any_vertex() -> None:
     shape = torch.rand(1, 30, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     derivatives = torch.autograd.functional.jacobian(lambda moved: fit_unit_cube(moved)[0, 0, 1], shape)[0, :, 1]
-    assert (derivatives[1:].max() - derivatives[1:].min()).item() < 1e-9
+    assert derivatives[1:].abs().max().item() < 2 / 30  # the highest vertex alone would have a half
 
 
 def test_points_that_are_all_the_same_have_a_box_without_sides() -> None:
