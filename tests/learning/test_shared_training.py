@@ -27,7 +27,7 @@ ROUNDING = 1e-9
 @pytest.fixture(scope="module")
 def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder, threads = tmp_path_factory.mktemp("one"), torch.get_num_threads()
-    torch.set_num_threads(max(1, threads // 2))  # as many as each of two processes has: rounding differs with their number
+    torch.set_num_threads(max(1, threads // 2))  # as each of two processes has: rounding differs with them
     share_work(1, CPU, take_steps, folder)
     torch.set_num_threads(threads)
     return folder
