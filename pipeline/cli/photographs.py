@@ -35,6 +35,8 @@ class Task(NamedTuple):
 def list_tasks(paths: Sequence[Path], out: Path) -> list[Task]:
     """List the photographs among files and, at any depth, folders, whose arrangement the outputs keep.
 
+    What lies below `out` is left out, so that a call can be repeated where it lies inside a folder of photographs.
+
     Raises DataError for a path that does not exist, a folder without photographs, and two photographs of one name.
     """
     tasks = [task for path in paths for task in _tasks(path, out)]
@@ -52,7 +54,8 @@ def _tasks(path: Path, out: Path) -> Iterator[Task]:
         return
     if not path.is_dir():
         raise DataError(f"{path} does not exist; give the path of a photograph or of a folder of photographs")
-    found = sorted(file for file in path.rglob("*") if file.suffix.lower() in ENDINGS and file.is_file())
+    images = (file for file in path.rglob("*") if file.suffix.lower() in ENDINGS and file.is_file())
+    found = sorted(file for file in images if out.resolve() not in file.resolve().parents)
     if not found:
         raise DataError(f"{path} holds no photographs ({' '.join(sorted(ENDINGS))}); give another folder")
     for file in found:

@@ -69,8 +69,9 @@ def measured_runs(project: Path) -> list[MeasuredRun]:
     metrics, pages = project / "results" / "metrics", runs_page(project).parent
     runs = []
     for path in sorted(metrics.glob("*.json")):
-        address = f"{path.stem}/index.html"
-        runs.append(MeasuredRun(path.stem, address if (pages / address).is_file() else None, read_json(path)))
+        figures, address = read_json(path), f"{path.stem}/index.html"
+        if "reconstruction" in figures:  # else a baseline's
+            runs.append(MeasuredRun(path.stem, address if (pages / address).is_file() else None, figures))
     if not runs:
         raise DataError(f"{metrics} has no figures of a run; make them with `make repro`, or name a --project")
     return runs

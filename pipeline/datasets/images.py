@@ -46,7 +46,7 @@ Images = UInt8[Tensor, "N 3 H W"] | MappedImages
 def load_images(path: Path) -> UInt8[Tensor, "N 3 H W"]:
     """Map the RGB pictures that `prepare_data` wrote into memory: what is used of them is read from disk.
 
-    The tensor is not contiguous. Raises DataError where there are none.
+    The tensor is not contiguous. Raises DataError where the file is missing.
     """
     if not path.is_file():
         raise DataError(f"{path} does not exist; run prepare_data for its dataset first, or check the category's name")

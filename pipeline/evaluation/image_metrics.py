@@ -21,7 +21,7 @@ def image_columns(
     extractor: FeatureExtractor,
     batch_size: int,
 ) -> Columns:
-    """Compare images with photographs, one row a picture: feature distance (eq. 1), PSNR in decibels, SSIM."""
+    """Compare images with photographs, one row a picture: feature distance (eq. 2), PSNR in decibels, SSIM."""
     distances = [
         feature_distance(extractor(photograph), extractor(image))
         for photograph, image in zip(photographs.split(batch_size), images.split(batch_size), strict=True)

@@ -25,7 +25,7 @@ class CameraConfig:
 
 
 class Pose(NamedTuple):
-    """Hold one viewpoint and one placement in the picture for each object of a batch (paper 3.2.3)."""
+    """Hold one viewpoint and one placement in the picture for each object of a batch (paper 3.2.2)."""
 
     azimuth: Float[Tensor, "B"]
     """Turn of the camera about +y, in radians; 0 looks at the front (+z), pi / 2 stands at +x."""
@@ -94,7 +94,7 @@ def place_in_picture(
     """Choose the pose's centre and scale so that the object's box in the picture has a given middle and longer side.
 
     The middle is in ndc, the extent relative to the picture's side. Gradients flow to everything; those of
-    the box are spread over all vertices.
+    the box are spread, see `spread_gradients`.
     """
     plain = Pose(azimuth, elevation, roll, torch.zeros_like(center), torch.ones_like(extent))
     box = bounding_box(project(vertices.detach(), plain, camera)[..., :2])

@@ -5,8 +5,11 @@ from typing import NamedTuple
 from jaxtyping import Float
 from torch import Tensor
 
-_LEAST_DEVIATION = 1e-9
-"""Of points along an axis, below which they do not stretch."""
+_RIM = 0.1
+"""Share of a set of points that is its rim on one side: the outermost ones along an axis."""
+
+_LEAST_WIDTH = 1e-9
+"""From rim to rim, below which points do not stretch."""
 
 
 class Box(NamedTuple):
@@ -23,15 +26,21 @@ def bounding_box(points: Float[Tensor, "B V K"]) -> Box:
 
 
 def spread_gradients(box: Box, points: Float[Tensor, "B V K"]) -> Box:
-    """Return the points' boxes with gradients that are spread over all of them.
+    """Return the points' boxes with gradients that are spread over their rims.
 
-    A box then moves with the mean of its points and grows with their deviation: where all are moved or stretched along
-    the axes alike, those are the derivatives. By the derivatives of `bounding_box` each of the few outermost points of
-    a shape moves and scales all the others, and growing a tip is the cheapest way to move it (docs/decisions.md).
+    A box then moves and grows with the means of its two rims along each axis: where all points are moved or stretched
+    along the axes alike, those are the derivatives. By the derivatives of `bounding_box` each of the few outermost
+    points of a shape moves and scales all the others, and growing a tip is the cheapest way to move it
+    (docs/decisions.md).
     """
-    mean, deviation = points.mean(dim=1, keepdim=True), points.std(dim=1, keepdim=True, correction=0)
-    growth = (deviation - deviation.detach()) / deviation.detach().clamp_min(_LEAST_DEVIATION)
-    moved = (mean - mean.detach()) + (box.center - mean).detach() * growth
+    if not points.requires_grad:
+        return box
+    count = max(1, round(_RIM * points.shape[1]))
+    upper = points.topk(count, dim=1).values.mean(dim=1, keepdim=True)
+    lower = points.topk(count, dim=1, largest=False).values.mean(dim=1, keepdim=True)
+    middle, width = (lower + upper) / 2, upper - lower
+    growth = (width - width.detach()) / width.detach().clamp_min(_LEAST_WIDTH)
+    moved = (middle - middle.detach()) + (box.center - middle).detach() * growth
     return Box(box.center + moved, box.sides * (1 + growth))
 
 

@@ -1,4 +1,4 @@
-"""The Chamfer distance between two batches of pictures (paper, appendix, eq. 3)."""
+"""The Chamfer distance between two batches of pictures (paper, appendix, eq. 4)."""
 
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -8,7 +8,7 @@ from pipeline.losses.image_distance import Features, feature_distance, pairwise_
 
 
 def chamfer(real: Features, generated: Features) -> Float[Tensor, ""]:
-    """Measure how far every picture of either batch is from its nearest in the other (eq. 3).
+    """Measure how far every picture of either batch is from its nearest in the other (eq. 4).
 
     Each direction is a mean over its batch, and the two are added. Neighbours are chosen without gradients; gradients
     flow through the distances of the chosen pairs, to both arguments.

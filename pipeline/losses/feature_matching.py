@@ -1,4 +1,4 @@
-"""Feature matching: the distance between the mean features of two batches (paper, appendix, eq. 2)."""
+"""Feature matching: the distance between the mean features of two batches (paper, appendix, eq. 3)."""
 
 import torch
 from jaxtyping import Float
@@ -9,7 +9,7 @@ from pipeline.losses.image_distance import Features, feature_distance
 
 
 def feature_matching(real: Features, generated: Features) -> Float[Tensor, ""]:
-    """Measure how far the mean feature maps of two batches are apart (eq. 2), summed over the feature maps.
+    """Measure how far the mean feature maps of two batches are apart (eq. 3), summed over the feature maps.
 
     The batches may differ in size. Of each a process gives its share, or the whole; what counts are the means over all
     processes. Gradients flow to both.

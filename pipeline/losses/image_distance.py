@@ -1,4 +1,4 @@
-"""The distance of pictures in feature space (paper, appendix, eq. 1)."""
+"""The distance of pictures in feature space (paper, appendix, eq. 2)."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -11,7 +11,7 @@ Features = Sequence[Float[Tensor, "_ _ _ _"]]
 
 
 def feature_distance(first: Features, second: Features) -> Float[Tensor, " B"]:
-    """Measure how far pictures are apart, pair by pair: eq. 1 summed over the feature maps.
+    """Measure how far pictures are apart, pair by pair: eq. 2 summed over the feature maps.
 
     A map's share is the Euclidean norm over channels of the difference, averaged over positions. Gradients flow to
     both arguments; where two features are equal the gradient is zero. Lower precisions are taken as float32.

@@ -31,11 +31,13 @@ class PoseRange:
     """Longer side of the object's box over the picture's side; 1 fills the picture."""
 
     def __post_init__(self) -> None:
-        """Raise ConfigError for a range that ends below its start."""
+        """Raise ConfigError for a range that ends below its start and for sizes that are not above 0."""
         for field in fields(self):
             lowest, highest = getattr(self, field.name)
             if lowest > highest:
                 raise ConfigError(f"pose_range.{field.name} is [{lowest}, {highest}]; expected the lower bound first")
+        if self.extent[0] <= 0:
+            raise ConfigError(f"pose_range.extent is {list(self.extent)}; expected sizes above 0")
 
 
 class PoseCoordinates(nn.Module):

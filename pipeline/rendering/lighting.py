@@ -1,4 +1,4 @@
-"""Directional light with smooth shading (paper 3.1.6)."""
+"""Directional light with smooth shading (paper 3.1.5)."""
 
 from typing import NamedTuple
 

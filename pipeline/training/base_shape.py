@@ -40,7 +40,7 @@ class BaseShapeConfig:
         seeds: how many base shapes are learned; a label-free score picks one.
         reconstruction_balance: lambda_rec, the share of the Chamfer distance against feature matching.
         colors: size of the texture palette, N_c.
-        initial_dimensions: width, height and depth of the initial ellipsoid (paper Table 2).
+        initial_dimensions: width, height and depth of the initial ellipsoid (paper Table 3).
         subdivisions: of the icosphere; 3 gives 642 vertices.
         framing: `box` lets the object fill each rendering, like photographs cut to their boxes.
         score_batches: batches of photographs and renderings that the score is averaged over.
@@ -154,7 +154,7 @@ class SeedTrainer:
         return scene, rendering.images
 
     def reconstruction_loss(self, images: Float[Tensor, "B 3 H W"], rng: torch.Generator) -> dict[str, Tensor]:
-        """Compare renderings, of which this process holds a share, with as many photographs (paper eqs. 1 to 3)."""
+        """Compare renderings, of which this process holds a share, with as many photographs (paper eqs. 2 to 4)."""
         total = len(self.photographs.images)
         index = torch.randint(total, (whole(len(images)),), generator=rng, device=rng.device)
         (_, real), generated = self.photographs.batch(index), self.extractor(images)
@@ -222,8 +222,8 @@ def learn_base_shape(
     """Learn one base shape a seed and pick the one whose renderings are closest to the photographs.
 
     Photographs and their kept features may take `memory` bytes. Processes divide the seeds, each working alone, so that
-    their number changes no shape; a single seed's batches are shared. Restart states live under `checkpoints`; a killed
-    call that is repeated returns the same bytes.
+    their number changes no shape as long as each has as many threads; a single seed's batches are shared. Restart
+    states live under `checkpoints`; a killed call that is repeated returns the same bytes.
     """
     sphere = build_sphere(config.subdivisions, next(extractor.parameters()).device)
     photographs = Photographs(images, extractor, config.batch_size, memory)

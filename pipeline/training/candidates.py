@@ -14,6 +14,7 @@ from torch import Tensor
 
 from pipeline.device import constant
 from pipeline.distributed import share, whole
+from pipeline.errors import ConfigError
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_decoder import PoseRegression
 
@@ -39,6 +40,10 @@ class ShapeSearchConfig:
     """Smallest and largest size of a perturbation; drawn log-uniformly."""
     spread: float
     """Of random shapes."""
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError for a step without a size."""
+        check_step("shapes.step", self.step)
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,23 @@ class ExplorationConfig:
     """Smallest and largest standard deviation of a perturbation, in pose coordinates; drawn log-uniformly."""
     azimuth_reach: float
     """Largest angle, in degrees, between the azimuths of a winner and of the record; 180 admits all."""
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError for more flipped poses than there are, and for a step without a size."""
+        check_flipped(self.flipped_poses)
+        check_step("pose_step", self.pose_step)
+
+
+def check_step(name: str, step: tuple[float, float]) -> None:
+    """Raise ConfigError where the bounds of a log-uniform size are not above 0, the lower one first."""
+    if not 0 < step[0] <= step[1]:
+        raise ConfigError(f"{name} is {list(step)}; expected two sizes above 0, the smaller one first")
+
+
+def check_flipped(count: int) -> None:
+    """Raise ConfigError for more flipped views of a pose than there are."""
+    if not 0 <= count <= 3:
+        raise ConfigError(f"flipped_poses is {count}; expected 0 to 3")
 
 
 def refining(config: ExplorationConfig) -> ExplorationConfig:

@@ -13,7 +13,7 @@ from pipeline.geometry.camera import pose_to_tensor
 from pipeline.losses.image_distance import Features, feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel, Reconstruction
-from pipeline.training.candidates import flipped
+from pipeline.training.candidates import check_flipped, flipped
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.exploration import comparable, require_maps
 
@@ -44,6 +44,10 @@ class FineTuneConfig:
     background: PhaseConfig
     pose: PhaseConfig
     shape: PhaseConfig
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError for more flipped poses than there are."""
+        check_flipped(self.flipped_poses)
 
 
 class Outputs:

@@ -47,6 +47,10 @@ class EllipsoidConfig:
     """Of the icosphere."""
 
 
+_CHUNK = 10_000
+"""Photographs whose recorded shapes are held at once."""
+
+
 @dataclass(frozen=True)
 class FullTrainingConfig:
     """Settings of full training."""
@@ -118,7 +122,7 @@ class FullTrainer:
         agree([*self.model.state_dict().values(), *self.discriminator.state_dict().values()])
 
     def draw(self, iteration: int) -> Int[Tensor, " B"]:
-        """Draw different photographs from the first to the i-th, counted from 1 (paper section 3.2.3)."""
+        """Draw different photographs from the first to the i-th, counted from 1; at least a batch (paper 3.2.3)."""
         config, count = self.config, len(self.photographs.images)
         reached = int(config.photographs_per_iteration * (iteration + 1))
         among = min(count, max(config.batch_size, reached))
@@ -223,7 +227,9 @@ class FullTrainer:
     @torch.no_grad()
     def recorded_pose(self) -> Pose:
         """Return the best poses of all training photographs; those without a visit have the one they started with."""
-        return self.model.poses(self.record.pose, self.model.shapes(self.record.shape))
+        rows = zip(self.record.pose.split(_CHUNK), self.record.shape.split(_CHUNK), strict=True)
+        poses = [self.model.poses(pose, self.model.shapes(shape)) for pose, shape in rows]
+        return Pose(*(torch.cat(values) for values in zip(*poses, strict=True)))
 
     def parts(self) -> dict[str, Part]:
         """Name everything a restart state has to hold."""

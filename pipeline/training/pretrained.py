@@ -30,7 +30,7 @@ def adopt(path: Path, images: Images, distance: float, seed: int) -> PretrainedN
 
 @torch.no_grad()
 def mean_distances(network: PretrainedNetwork, images: Images, seed: int) -> Float[Tensor, " maps"]:
-    """Return how far pairs of photographs, drawn at random, are apart in each map (eq. 1)."""
+    """Return how far pairs of photographs, drawn at random, are apart in each map (eq. 2)."""
     extractor = FeatureExtractor(network, color_weight=0.0)
     order = torch.randperm(len(images), generator=generator(seed, "features", "pairs"))[:_PICTURES]
     distances = []

@@ -1,4 +1,4 @@
-"""Random viewpoints and lights of base-shape learning (paper 3.1.3, 3.1.5 and Table 3)."""
+"""Random viewpoints and lights of base-shape learning (paper 3.1.3, 3.1.5 and Table 4)."""
 
 import math
 from dataclasses import dataclass
@@ -30,7 +30,7 @@ class AngleConfig:
 
 @dataclass(frozen=True)
 class ViewpointConfig:
-    """The fixed distribution of viewpoints of a category (paper Table 3).
+    """The fixed distribution of viewpoints of a category (paper Table 4).
 
     Attributes:
         mirrored: whether half of the azimuths are negated. Photographs show objects from both sides: with azimuths of

@@ -113,7 +113,8 @@ def test_the_command_looks_where_stages_write(tmp_path: Path) -> None:
         assert getattr(run, artifact) == path
         assert file.removesuffix("/index.html") in _outs(stage)
     assert "results/metrics/${key}.json" in _outs("evaluate")
-    write_json(tmp_path / "results/metrics/car.json", {})
+    write_json(tmp_path / "results/metrics/car.json", {"reconstruction": {}})
+    write_json(tmp_path / "results/metrics/car-colmap.json", {"multiview": {}})
     assert [measured.name for measured in measured_runs(tmp_path)] == ["car"]
 
 

@@ -16,6 +16,7 @@ from torch import Tensor
 
 from pipeline.cli import doctor
 from pipeline.cli.__main__ import main
+from pipeline.cli.photographs import Task, list_tasks
 from pipeline.datasets.decoding import Fit, decode
 from pipeline.files import save_tensors
 from pipeline.networks.feature_extractor import extract, load_feature_extractor, save_feature_extractor
@@ -132,6 +133,14 @@ def test_a_folder_is_reconstructed_but_for_what_cannot_be_read(
     assert not list((project / "out").rglob("*.gif"))
 
 
+def test_what_was_written_into_a_folder_of_photographs_is_none_of_them(tmp_path: Path) -> None:
+    out = tmp_path / "meshes"
+    out.mkdir()
+    for file in (tmp_path / "car.png", out / "car_texture.png"):
+        file.touch()
+    assert list_tasks([tmp_path], out) == [Task(tmp_path / "car.png", out / "car")]
+
+
 def test_a_stopped_reconstruction_goes_on_where_it_stopped(
     project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -212,7 +221,7 @@ def test_view_opens_the_page(project: Path, monkeypatch: pytest.MonkeyPatch) -> 
 def test_runs_writes_and_opens_a_table_of_all_runs(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, has_page in (("horse", True), ("car", False)):
         (project / "results/metrics").mkdir(parents=True, exist_ok=True)
-        (project / f"results/metrics/{name}.json").write_text('{"pose": {"acc": 0.5}}')
+        (project / f"results/metrics/{name}.json").write_text('{"pose": {"acc": 0.5}, "reconstruction": {}}')
         page = project / f"results/report/{name}/index.html"
         page.parent.mkdir(parents=True)
         if has_page:

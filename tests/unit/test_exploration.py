@@ -2,9 +2,11 @@
 
 from dataclasses import replace
 
+import pytest
 import torch
 from torch import Tensor
 
+from pipeline.errors import ConfigError
 from pipeline.losses.image_distance import Features, feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel, Reconstruction
@@ -227,3 +229,14 @@ def test_reach_is_an_angle_between_azimuths() -> None:
     near = within_reach(turned[:, None], recorded, 30)[:, 0]
     assert near.tolist() == [True, True, True, False, False]
     assert within_reach(turned[:, None], recorded, 180).all()
+
+
+def test_settings_that_no_candidate_can_have_are_refused() -> None:
+    with pytest.raises(ConfigError, match="flipped_poses is 4; expected 0 to 3"):
+        replace(CONFIG, flipped_poses=4)
+    with pytest.raises(ConfigError, match=r"pose_step is \[0\.0, 0\.3\]; expected two sizes above 0"):
+        replace(CONFIG, pose_step=(0.0, 0.3))
+    with pytest.raises(
+        ConfigError, match=r"shapes\.step is \[0\.5, 0\.1\]; expected two sizes above 0, the smaller one"
+    ):
+        ShapeSearchConfig(random=1, perturbed=1, step=(0.5, 0.1), spread=0.5)

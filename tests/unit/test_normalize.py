@@ -29,10 +29,12 @@ def test_gradients_are_the_derivatives_where_all_points_are_moved_or_stretched_a
     assert stretched.sum(dim=-1).abs().max().item() < 1e-12  # or sizes, which no picture shows, would drift
 
 
-def test_an_outermost_vertex_moves_the_others_no_more_than_any_vertex() -> None:
-    shape = torch.rand(1, 30, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1)).requires_grad_()
+def test_an_outermost_vertex_moves_the_others_no_more_than_its_rim_does() -> None:
+    shape = torch.rand(1, 100, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1)).requires_grad_()
     (gradient,) = torch.autograd.grad(fit_unit_cube(shape)[0, 0, 1], shape)
-    assert gradient[0, 1:, 1].abs().max().item() < 2 / 30  # the highest vertex alone would have a half
+    pull = gradient[0, 1:, 1].abs()
+    assert pull.max().item() < 1.5 / 20  # the highest vertex alone would have a half
+    assert (pull > 1e-9).sum().item() <= 20  # ten points above, ten below
 
 
 def test_points_that_are_all_the_same_have_a_box_without_sides() -> None:

@@ -78,6 +78,8 @@ def test_a_range_may_be_one_value_but_not_reversed() -> None:
     torch.testing.assert_close(poses.box(again)[1], torch.ones(4))
     with pytest.raises(ConfigError, match=r"pose_range\.roll is \[5\.0, -5\.0\]; expected the lower bound first"):
         replace(RANGE, roll=(5.0, -5.0))
+    with pytest.raises(ConfigError, match=r"pose_range\.extent is \[0\.0, 1\.0\]; expected sizes above 0"):
+        replace(RANGE, extent=(0.0, 1.0))
 
 
 def test_gradients_are_the_derivatives_by_coordinates_and_by_a_common_stretch_of_vertices() -> None:

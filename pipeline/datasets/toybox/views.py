@@ -11,7 +11,7 @@ from pipeline.geometry.camera import CameraConfig, Pose, place_in_picture
 
 
 class ViewRange(NamedTuple):
-    """The distribution of viewpoints of one category (paper, appendix, Table 3); angles in degrees."""
+    """The distribution of viewpoints of one category (paper, appendix, Table 4); angles in degrees."""
 
     elevation: tuple[float, float]
     """Lowest and highest, uniform between."""
