@@ -8,8 +8,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pipeline.geometry.normalize import bounding_box, spread_gradients
-
 NEAREST_DEPTH = 1e-3
 """Depth in world units below which a point counts as behind the camera."""
 
@@ -93,15 +91,13 @@ def place_in_picture(
 ) -> Pose:
     """Choose the pose's centre and scale so that the object's box in the picture has a given middle and longer side.
 
-    The middle is in ndc, the extent relative to the picture's side. Gradients flow to everything; those of
-    the box are spread, see `spread_gradients`.
+    The middle is in ndc, the extent relative to the picture's side. Gradients flow to everything.
     """
     plain = Pose(azimuth, elevation, roll, torch.zeros_like(center), torch.ones_like(extent))
-    box = bounding_box(project(vertices.detach(), plain, camera)[..., :2])
-    fixed = Pose(*(part.detach() for part in plain))
-    middle, sides = (part[:, 0] for part in spread_gradients(box, project(vertices, fixed, camera)[..., :2]))
-    scale = 2 * extent / sides.amax(dim=1)
-    return plain._replace(center=center - scale[:, None] * middle, scale=scale)
+    xy_ndc = project(vertices, plain, camera)[..., :2]
+    lower, upper = xy_ndc.amin(dim=1), xy_ndc.amax(dim=1)
+    scale = 2 * extent / (upper - lower).amax(dim=1)
+    return plain._replace(center=center - scale[:, None] * (lower + upper) / 2, scale=scale)
 
 
 def fill_picture(vertices: Float[Tensor, "B V 3"], pose: Pose, camera: CameraConfig) -> Pose:
