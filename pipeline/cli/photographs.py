@@ -35,7 +35,7 @@ class Task(NamedTuple):
 def list_tasks(paths: Sequence[Path], out: Path) -> list[Task]:
     """List the photographs among files and, at any depth, folders, whose arrangement the outputs keep.
 
-    What lies below `out` is left out, so that a call can be repeated where it lies inside a folder of photographs.
+    Where `out` is a folder inside one of photographs, what lies in it is left out, so that a call can be repeated.
 
     Raises DataError for a path that does not exist, a folder without photographs, and two photographs of one name.
     """
@@ -55,7 +55,8 @@ def _tasks(path: Path, out: Path) -> Iterator[Task]:
     if not path.is_dir():
         raise DataError(f"{path} does not exist; give the path of a photograph or of a folder of photographs")
     images = (file for file in path.rglob("*") if file.suffix.lower() in ENDINGS and file.is_file())
-    found = sorted(file for file in images if out.resolve() not in file.resolve().parents)
+    inside = path.resolve() in out.resolve().parents
+    found = sorted(file for file in images if not inside or out.resolve() not in file.resolve().parents)
     if not found:
         raise DataError(f"{path} holds no photographs ({' '.join(sorted(ENDINGS))}); give another folder")
     for file in found:

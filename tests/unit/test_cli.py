@@ -139,6 +139,8 @@ def test_what_was_written_into_a_folder_of_photographs_is_none_of_them(tmp_path:
     for file in (tmp_path / "car.png", out / "car_texture.png"):
         file.touch()
     assert list_tasks([tmp_path], out) == [Task(tmp_path / "car.png", out / "car")]
+    for around in (out, tmp_path):  # there nothing tells photographs from what was written
+        assert list_tasks([out], around) == [Task(out / "car_texture.png", around / "car_texture")]
 
 
 def test_a_stopped_reconstruction_goes_on_where_it_stopped(
