@@ -38,25 +38,37 @@ class ShapeGenerator(nn.Module):
         return self.offset_scale * self.layers(latent).unflatten(1, (-1, 3))
 
 
-class ResidualUpsample(nn.Module):
-    """Double the resolution of a feature map and refine it with a residual block.
+class SpherePad(nn.Module):
+    """Add the neighbouring row or column on every side of equirectangular maps, which are a sphere without borders.
 
-    Columns wrap around when `wrap` is set, because the left and right borders of a texture map meet on the sphere.
+    The first and the last column are neighbours, and beyond a pole lies the row next to it, half way round.
     """
 
-    def __init__(self, in_channels: int, out_channels: int, wrap: bool) -> None:
+    def forward(self, maps: Float[Tensor, "B C T T"]) -> Float[Tensor, "B C T+2 T+2"]:
+        """Return the padded maps."""
+        half = maps.shape[-1] // 2
+        above, below = maps[:, :, :1].roll(half, dims=-1), maps[:, :, -1:].roll(half, dims=-1)
+        rows = torch.cat([above, maps, below], dim=2)
+        return torch.cat([rows[..., -1:], rows, rows[..., :1]], dim=-1)
+
+
+class ResidualUpsample(nn.Module):
+    """Double the resolution of a feature map and refine it with a residual block."""
+
+    def __init__(self, in_channels: int, out_channels: int, padding: nn.Module) -> None:
         super().__init__()
-        padding_mode = "circular" if wrap else "zeros"
         self.upsample = nn.Upsample(scale_factor=2.0, mode="nearest")
         self.shortcut = nn.Conv2d(in_channels, out_channels, 1)
         self.residual = nn.Sequential(
             BatchNorm2d(in_channels),
             nn.ReLU(),
             self.upsample,
-            nn.Conv2d(in_channels, out_channels, 3, padding=1, padding_mode=padding_mode),
+            padding,
+            nn.Conv2d(in_channels, out_channels, 3),
             BatchNorm2d(out_channels),
             nn.ReLU(),
-            nn.Conv2d(out_channels, out_channels, 3, padding=1, padding_mode=padding_mode),
+            padding,
+            nn.Conv2d(out_channels, out_channels, 3),
         )
 
     def forward(self, features: Float[Tensor, "B C H W"]) -> Float[Tensor, "B K 2*H 2*W"]:
@@ -67,18 +79,20 @@ class ResidualUpsample(nn.Module):
 class ImageGenerator(nn.Module):
     """Map a latent vector to a square image by a DCGAN-like network with residual connections (paper 3.1.2)."""
 
-    def __init__(self, latent_size: int, hidden_channels: int, out_channels: int, size: int, wrap: bool) -> None:
-        """Draw images of `size` pixels. Raises ConfigError for a size that is no power of two from 4."""
+    def __init__(self, latent_size: int, hidden_channels: int, out_channels: int, size: int, on_sphere: bool) -> None:
+        """Draw images of `size` pixels, on the sphere equirectangular maps.
+
+        Raises ConfigError for a size that is no power of two from 4.
+        """
         super().__init__()
         if size < 4 or size & (size - 1):
             raise ConfigError(f"textures and backgrounds cannot be {size} px wide; expected 4, 8, 16, 32, 64 or so on")
         blocks = (size // 4).bit_length() - 1
         widths = [hidden_channels * 2 ** max(blocks - 1 - i, 0) for i in range(blocks + 1)]
+        padding = SpherePad() if on_sphere else nn.ZeroPad2d(1)
         self.start = nn.Linear(latent_size, widths[0] * 16)
-        self.blocks = nn.Sequential(*(ResidualUpsample(before, after, wrap) for before, after in pairwise(widths)))
-        self.output = nn.Sequential(
-            BatchNorm2d(widths[-1]), nn.ReLU(), nn.Conv2d(widths[-1], out_channels, 3, padding=1)
-        )
+        self.blocks = nn.Sequential(*(ResidualUpsample(*sizes, padding) for sizes in pairwise(widths)))
+        self.output = nn.Sequential(BatchNorm2d(widths[-1]), nn.ReLU(), padding, nn.Conv2d(widths[-1], out_channels, 3))
         _spread(self)
 
     def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B C T T"]:
@@ -92,7 +106,7 @@ class TextureGenerator(nn.Module):
     def __init__(self, latent_size: int, hidden_channels: int, size: int, mirror: bool) -> None:
         super().__init__()
         self.mirror = mirror
-        self.image = ImageGenerator(latent_size, hidden_channels, 3, size, wrap=True)
+        self.image = ImageGenerator(latent_size, hidden_channels, 3, size, on_sphere=True)
 
     def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B 3 T T"]:
         """Return texture maps; with `mirror`, left and right of the object look the same."""
@@ -108,7 +122,7 @@ class PaletteTextureGenerator(nn.Module):
     def __init__(self, latent_size: int, hidden_channels: int, size: int, colors: int, mirror: bool) -> None:
         super().__init__()
         self.mirror = mirror
-        self.weights = ImageGenerator(latent_size, hidden_channels, colors, size, wrap=True)
+        self.weights = ImageGenerator(latent_size, hidden_channels, colors, size, on_sphere=True)
         self.palette = nn.Sequential(
             nn.Linear(latent_size, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, colors * 3)
         )
@@ -149,7 +163,7 @@ class ImageBackgroundGenerator(nn.Module):
 
     def __init__(self, latent_size: int, hidden_channels: int, size: int) -> None:
         super().__init__()
-        self.image = ImageGenerator(latent_size, hidden_channels, 3, size, wrap=False)
+        self.image = ImageGenerator(latent_size, hidden_channels, 3, size, on_sphere=False)
 
     def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B 3 H W"]:
         """Return images in [0, 1]."""

@@ -64,6 +64,12 @@ class Outputs:
             }
             self.texture_maps = model.texture_decoder(model.texture_encoder(images))
 
+    @torch.no_grad()
+    def admit(self, name: str, value: Float[Tensor, "B K"]) -> None:
+        """Bring poses back into their ranges in place: left outside, they would get no gradient that leads back."""
+        if name == "pose":
+            value.copy_(self.model.poses.clamp(value))
+
     def reconstruct(self, **replaced: Tensor) -> Reconstruction:
         """Decode the outputs, some of them replaced. Gradients flow to the replacements."""
         values = self.values | replaced
@@ -102,6 +108,7 @@ def tune(outputs: Outputs, name: str, loss: Loss, phase: PhaseConfig, betas: tup
             optimizer.zero_grad()
             losses.sum().backward()
             optimizer.step()
+            outputs.admit(name, value)
     outputs.values[name] = best_value
 
 

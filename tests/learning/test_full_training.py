@@ -12,6 +12,7 @@ from pipeline.datasets.images import load_images, place_images
 from pipeline.errors import TrainingDiverged
 from pipeline.evaluation.shape import proportions
 from pipeline.networks.feature_extractor import extract
+from pipeline.networks.full_model import Reconstruction
 from pipeline.networks.pose_coordinates import PoseRange
 from pipeline.seeding import generator
 from pipeline.training.candidates import flipped
@@ -19,7 +20,7 @@ from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.curves import Curve
 from pipeline.training.ends import EndsConfig
 from pipeline.training.exploration import score
-from pipeline.training.fine_tune import FineTuneConfig, PhaseConfig, fine_tune
+from pipeline.training.fine_tune import FineTuneConfig, Outputs, PhaseConfig, fine_tune, tune
 from pipeline.training.first_poses import read_poses
 from pipeline.training.full import train_full
 from pipeline.training.full_trainer import FullTrainer, FullTrainingConfig
@@ -268,6 +269,19 @@ def test_fine_tuning_moves_only_background_pose_and_shape(tmp_path: Path) -> Non
     assert torch.equal(results["backgrounds_predicted"], results["backgrounds_tuned"])
     assert not torch.equal(results["pose_predicted"], results["pose_tuned"])
     torch.testing.assert_close(results["textures"], inferred(model, images.float() / 255).texture_maps)
+
+
+def test_poses_that_leave_their_ranges_are_led_back() -> None:
+    images, _ = photographs(2)
+    model, extractor = tiny_model().eval(), tiny_extractor()
+    outputs = Outputs(model, images.float() / 255, [layer.float() for layer in extract(extractor, images, 2)])
+    outputs.values["pose"][:, 2] = 1.5
+
+    def elevation(reconstruction: Reconstruction) -> Tensor:
+        return reconstruction.pose.elevation
+
+    tune(outputs, "pose", elevation, PhaseConfig(5, 0.1), (0.5, 0.99))
+    assert (outputs.values["pose"][:, 2] < 0.8).all()
 
 
 def train_with_known_poses(images: Tensor, poses: Tensor, iterations: int) -> FullTrainer:

@@ -10,6 +10,7 @@ from pipeline.errors import ConfigError
 from pipeline.files import save_tensors
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.symmetry import mirror_index, reflect
+from pipeline.networks.generators import ImageGenerator, SpherePad
 from pipeline.networks.scene_generator import (
     ConstraintConfig,
     GeneratorConfig,
@@ -79,6 +80,33 @@ def test_texture_maps_stay_in_range_and_mirror() -> None:
     assert textures.min() >= 0
     assert textures.max() <= 1
     assert torch.equal(textures, textures.flip(-1))
+
+
+def test_maps_on_the_sphere_have_no_borders() -> None:
+    maps = torch.arange(64.0).view(1, 1, 8, 8)
+    padded = SpherePad()(maps)[0, 0]
+    assert torch.equal(padded[1:-1, 1:-1], maps[0, 0])
+    assert torch.equal(padded[1:-1, 0], maps[0, 0, :, 7])
+    assert torch.equal(padded[1:-1, -1], maps[0, 0, :, 0])
+    assert padded[0].tolist() == [3, 4, 5, 6, 7, 0, 1, 2, 3, 4]
+    assert padded[-1].tolist() == [59, 60, 61, 62, 63, 56, 57, 58, 59, 60]
+
+
+def test_a_turned_texture_is_the_same_texture() -> None:
+    with initialised(0):
+        network = ImageGenerator(16, 4, 3, 32, on_sphere=True)
+    start = torch.randn(2, 16, 4, 4, generator=generator(0))
+    maps, turned = (network.output(network.blocks(features)) for features in (start, start.roll(1, dims=-1)))
+    torch.testing.assert_close(turned, maps.roll(8, dims=-1))
+
+
+def test_the_top_of_a_texture_knows_nothing_of_its_underside() -> None:
+    with initialised(0):
+        network = ImageGenerator(16, 4, 3, 8, on_sphere=True)
+    maps = torch.zeros(1, 4, 8, 8, requires_grad=True)
+    network.output[2:](maps)[:, :, 0].sum().backward()
+    assert maps.grad is not None
+    assert (maps.grad.abs().amax(dim=(0, 1, 3)) > 0).tolist() == [True] * 2 + [False] * 6
 
 
 @pytest.mark.parametrize("simple", [True, False])
