@@ -3,12 +3,13 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from pipeline.config import load
 from pipeline.evaluation.artifacts import load_true_split
 from pipeline.evaluation.base_shape import base_shape_figures
-from pipeline.export.picture import tile, write_png
+from pipeline.export.picture import sheet, write_png
 from pipeline.export.views import SEED_AZIMUTHS, ViewConfig, on_white, render_clay
 from pipeline.files import load_tensors, write_json
 from pipeline.geometry.camera import CameraConfig
@@ -31,14 +32,22 @@ def main() -> None:
     config = load(arguments.params, EvaluateBaseShapeConfig, arguments.sections)
     tensors, _ = load_tensors(arguments.base_shape)
     seeds, faces, scores = (tensors[name] for name in ("seed_vertices", "faces", "seed_scores"))
-    rows = torch.stack([render_clay(seed, faces, SEED_AZIMUTHS, config.camera, config.view) for seed in seeds])
-    write_png(arguments.figure, tile(on_white(rows), gap=4, shade=1.0))
+    views = [on_white(render_clay(seed, faces, SEED_AZIMUTHS, config.camera, config.view)) for seed in seeds]
+    write_png(arguments.figure, sheet(dict(zip(seed_names(scores), views, strict=True))))
     training, test = (load_true_split(arguments.truth, split, arguments.category) for split in ("train", "test"))
     figures = {}
     if training is not None and test is not None and training.objects is not None and test.objects is not None:
         chosen = int(scores.argmin())
         figures = base_shape_figures(seeds, faces, chosen, training.objects, test.objects, config.voxel_resolution)
     write_json(arguments.out, figures)
+
+
+def seed_names(scores: Float[Tensor, " S"]) -> list[str]:
+    """Say every seed's score and which one was chosen."""
+    chosen = int(scores.argmin())
+    return [
+        f"seed {seed}, score {score:.2f}" + ", chosen" * (seed == chosen) for seed, score in enumerate(scores.tolist())
+    ]
 
 
 if __name__ == "__main__":

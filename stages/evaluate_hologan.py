@@ -8,7 +8,7 @@ from pipeline.config import load
 from pipeline.evaluation.evaluate import EvaluateConfig
 from pipeline.evaluation.multiview import multiview_figures
 from pipeline.evaluation.tables import format_figures
-from pipeline.export.picture import enlarge, tile, write_png
+from pipeline.export.picture import enlarge, sheet, write_png
 from pipeline.files import write_json
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.hologan import draw_views, load_hologan
@@ -27,7 +27,8 @@ def main() -> None:
     extractor = load_feature_extractor(arguments.features, device, torch.float32)
     figures = {"multiview": multiview_figures(views, extractor, multiview, config.batch_size)}
     write_json(arguments.out, figures)
-    write_png(arguments.picture, tile(enlarge(views[: multiview.examples], 4), gap=4, shade=1.0))
+    examples = enlarge(views[: multiview.examples], 4)
+    write_png(arguments.picture, sheet({f"object {number}": row for number, row in enumerate(examples)}))
     print(format_figures(figures))
 
 

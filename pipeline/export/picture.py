@@ -1,27 +1,48 @@
 """Pictures as PNG: files for figures, and text that stands inside a page."""
 
 import base64
+from collections.abc import Mapping
 from pathlib import Path
 
 import cv2
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional
 
 from pipeline.files import atomic_path
 
+GAP = 4
+"""Pixels between the pictures of a sheet and around them."""
+NAME_HEIGHT = 24
+"""Of the line above a row of a sheet, in pixels."""
 
-def tile(rows: Float[Tensor, "R K C H W"], gap: int, shade: float) -> Float[Tensor, "C height width"]:
-    """Lay pictures out as rows and columns, `gap` pixels of one shade of grey between and around them."""
-    count_rows, count_columns, channels, height, width = rows.shape
-    sheet = torch.full(
-        (channels, count_rows * (height + gap) + gap, count_columns * (width + gap) + gap), shade, dtype=rows.dtype
-    )
-    for row in range(count_rows):
-        for column in range(count_columns):
-            top, left = gap + row * (height + gap), gap + column * (width + gap)
-            sheet[:, top : top + height, left : left + width] = rows[row, column]
-    return sheet
+
+def sheet(rows: Mapping[str, Float[Tensor, "K 3 _ W"]]) -> Float[Tensor, "3 height width"]:
+    """Lay rows of pictures on white, each below its name and without what all of its pictures leave white.
+
+    Pictures have the same width and those of a row the same height.
+    """
+    parts = []
+    for name, pictures in rows.items():
+        row = functional.pad(_trim(pictures), (GAP, 0, GAP, 0), value=1.0)
+        row = functional.pad(strip(row), (0, GAP), value=1.0)
+        parts += [_write(name, row.shape[-1]), row]
+    return functional.pad(torch.cat(parts, dim=1), (0, 0, 0, GAP), value=1.0)
+
+
+def _trim(pictures: Float[Tensor, "K 3 H W"]) -> Float[Tensor, "K 3 height W"]:
+    """Cut off the rows of pixels that are white in all pictures, above and below the others."""
+    filled = (pictures < 1).any(dim=3).any(dim=1).any(dim=0).nonzero()
+    return pictures[:, :, filled.min() : filled.max() + 1] if len(filled) else pictures
+
+
+def _write(text: str, width: int) -> Float[Tensor, "3 height width"]:
+    """Write a line in black on white."""
+    line = np.full((NAME_HEIGHT, width), 255, dtype=np.uint8)
+    cv2.putText(line, text, (GAP, NAME_HEIGHT - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.55, 0, 1, cv2.LINE_AA)
+    return torch.from_numpy(line).expand(3, -1, -1) / 255
 
 
 def enlarge(pictures: Float[Tensor, "*batch H W"], factor: int) -> Float[Tensor, "*batch height width"]:

@@ -11,7 +11,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from pipeline.evaluation.artifacts import Reconstructions
-from pipeline.export.picture import enlarge, tile, write_png
+from pipeline.export.picture import sheet, write_png
 from pipeline.export.report_meshes import base_exhibit, reconstruction_exhibits, seed_exhibits
 from pipeline.export.report_metrics import curve_section, headline, metrics_section, pose_section
 from pipeline.export.report_page import Section, page
@@ -99,21 +99,49 @@ def write_report(inputs: ReportInputs, config: ReportConfig, page_folder: Path, 
     write_page(page_folder, inputs, sections)
     with atomic_path(figure_folder) as folder:
         folder.mkdir()
-        write_png(folder / "base_shapes.png", tile(on_white(seeds), gap=4, shade=1.0))
-        renderings = gallery.renderings(torch.cat([best, random]), config.other_view)
-        factor = max(1, config.view.size // renderings.shape[-1])
-        write_png(folder / "reconstructions.png", tile(enlarge(renderings.transpose(0, 1), factor), gap=4, shade=1.0))
-        steps = torch.stack([gallery.steps(index) for index in random[: config.stepped].tolist()])
-        write_png(folder / "steps.png", tile(on_white(steps), gap=4, shade=1.0))
-        write_png(folder / "examples.png", tile(example_rows(gallery, random, inputs.drawn), gap=4, shade=1.0))
+        write_png(folder / "examples.png", sheet(example_rows(gallery, random, inputs.drawn)))
+        write_png(folder / "steps.png", sheet(step_rows(gallery, random[: config.stepped], inputs.table["test_index"])))
+        rows = reconstruction_rows(gallery, best, "best", inputs.drawn, config.other_view)
+        rows |= reconstruction_rows(gallery, random, "random", inputs.drawn, config.other_view)
+        write_png(folder / "reconstructions.png", sheet(rows))
 
 
-def example_rows(gallery: Gallery, index: Int[Tensor, " K"], drawn: bool) -> Float[Tensor, "R K 3 H W"]:
+def example_rows(gallery: Gallery, index: Int[Tensor, " K"], drawn: bool) -> dict[str, Float[Tensor, "K 3 H W"]]:
     """Show pictures as columns: the photograph if the project has drawn it, its reconstruction, the object alone."""
-    objects = on_white(torch.stack([gallery.corners(position) for position in index.tolist()], dim=1))
-    pictures = torch.stack([gallery.photographs[index]] * drawn + [gallery.reconstructions.tuned.images[index]])
-    enlarged = functional.interpolate(pictures.flatten(0, 1), objects.shape[-2:])
-    return torch.cat([enlarged.unflatten(0, pictures.shape[:2]), objects])
+    corners = on_white(torch.stack([gallery.corners(position) for position in index.tolist()], dim=1))
+    names = ("the object from one corner", "from the opposite corner", "its shape")
+    reconstruction = {"reconstruction": _enlarged(gallery, gallery.reconstructions.tuned.images[index])}
+    return _photographs(gallery, index, drawn, "") | reconstruction | dict(zip(names, corners, strict=True))
+
+
+def reconstruction_rows(
+    gallery: Gallery, index: Int[Tensor, " K"], choice: str, drawn: bool, other_view: float
+) -> dict[str, Float[Tensor, "K 3 H W"]]:
+    """Show pictures as columns: the photograph if the project has drawn it, its reconstructions, another view."""
+    names = ("reconstruction", "fine-tuned", f"fine-tuned and turned by {other_view:g} degrees")
+    renderings = gallery.renderings(index, other_view).unbind(dim=1)
+    rows = {f"{choice}: {name}": _enlarged(gallery, row) for name, row in zip(names, renderings, strict=True)}
+    return _photographs(gallery, index, drawn, f"{choice}: ") | rows
+
+
+def step_rows(
+    gallery: Gallery, index: Int[Tensor, " K"], numbers: Sequence[str]
+) -> dict[str, Float[Tensor, "steps 3 H W"]]:
+    """Show fine-tuned objects turned by 50 degrees from picture to picture."""
+    return {
+        f"test picture {numbers[position]}, in steps of 50 degrees": on_white(gallery.steps(position))
+        for position in index.tolist()
+    }
+
+
+def _photographs(
+    gallery: Gallery, index: Int[Tensor, " K"], drawn: bool, prefix: str
+) -> dict[str, Float[Tensor, "K 3 H W"]]:
+    return {f"{prefix}photograph": _enlarged(gallery, gallery.photographs[index])} if drawn else {}
+
+
+def _enlarged(gallery: Gallery, pictures: Float[Tensor, "K 3 H W"]) -> Float[Tensor, "K 3 height width"]:
+    return functional.interpolate(pictures, (gallery.size, gallery.size))
 
 
 def choose_examples(inputs: ReportInputs, config: ReportConfig) -> tuple[Int[Tensor, " K"], Int[Tensor, " K"]]:

@@ -32,7 +32,7 @@ class Gallery:
     ) -> None:
         self.photographs = photographs
         self.reconstructions = reconstructions
-        self.elevation = view.elevation
+        self.elevation, self.size = view.elevation, view.size
         self._camera = camera
         self._framing = framing
         self._view = view

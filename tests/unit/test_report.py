@@ -13,7 +13,7 @@ import trimesh
 from PIL import Image
 
 from pipeline.errors import DataError
-from pipeline.export.picture import data_uri, encode_png, enlarge, tile
+from pipeline.export.picture import GAP, NAME_HEIGHT, data_uri, encode_png, enlarge, sheet
 from pipeline.export.report import choose_examples, write_report
 from pipeline.export.report_pictures import Gallery
 from pipeline.export.viewer import three_js
@@ -94,16 +94,19 @@ def test_a_trimesh_without_three_js_is_named(monkeypatch: pytest.MonkeyPatch) ->
 def test_figures_hold_renderings_and_no_photograph(tmp_path: Path) -> None:
     write_report(inputs(truth=False), CONFIG, tmp_path / "page", tmp_path / "figures")
     files = sorted((tmp_path / "figures").iterdir())
-    assert [file.name for file in files] == ["base_shapes.png", "examples.png", "reconstructions.png", "steps.png"]
+    assert [file.name for file in files] == ["examples.png", "reconstructions.png", "steps.png"]
     assert not any(shows_magenta(file) for file in files)
-    assert read_png(files[0].read_bytes()).shape == (2 * (24 + 4) + 4, 4 * (24 + 4) + 4, 3)
 
 
-def test_examples_show_photographs_that_the_project_draws(tmp_path: Path) -> None:
-    write_report(inputs(truth=False)._replace(drawn=True), CONFIG, tmp_path / "page", tmp_path / "figures")
-    shown = [file.name for file in (tmp_path / "figures").iterdir() if shows_magenta(file)]
-    assert shown == ["examples.png"]
-    assert read_png((tmp_path / "figures/examples.png").read_bytes()).shape == (5 * (24 + 4) + 4, 2 * (24 + 4) + 4, 3)
+def test_figures_show_photographs_that_the_project_draws(tmp_path: Path) -> None:
+    for drawn in (False, True):
+        given = inputs(truth=False)._replace(drawn=drawn)
+        write_report(given, CONFIG, tmp_path / "page", tmp_path / f"figures_{drawn}")
+    shown = sorted(file.name for file in (tmp_path / "figures_True").iterdir() if shows_magenta(file))
+    assert shown == ["examples.png", "reconstructions.png"]
+    without, beside = (read_png((tmp_path / f"figures_{drawn}/examples.png").read_bytes()) for drawn in (False, True))
+    assert without.shape[1] == beside.shape[1] == 2 * (VIEW.size + GAP) + GAP
+    assert beside.shape[0] - without.shape[0] == NAME_HEIGHT + GAP + VIEW.size
 
 
 def shows_magenta(picture: Path) -> bool:
@@ -143,12 +146,27 @@ def test_best_examples_have_the_least_distance() -> None:
     assert len(set(random.tolist())) == 2
 
 
-def test_tiles_keep_their_places() -> None:
-    pictures = torch.arange(6.0).reshape(2, 3, 1, 1, 1).expand(2, 3, 3, 2, 2)
-    sheet = tile(pictures, gap=1, shade=9.0)
-    assert sheet.shape == (3, 7, 10)
-    assert sheet[0, 1::3, 1::3].tolist() == [[0, 1, 2], [3, 4, 5]]
-    assert sheet[0, 0].tolist() == [9.0] * 10
+def test_sheets_keep_pictures_in_their_places_and_leave_white_out() -> None:
+    pictures = torch.full((2, 3, 9, 5), 0.5)
+    pictures[1, :, :, 4] = 0.25
+    objects = torch.ones(2, 3, 8, 5)
+    objects[0, :, 3:5, 1], objects[1, :, 4:6, 2] = 0.0, 0.75
+    laid = sheet({"photograph": pictures, "shape": objects})
+    width, first, second = 3 * GAP + 2 * 5, NAME_HEIGHT + GAP, 2 * (NAME_HEIGHT + GAP) + 9
+    assert laid.shape == (3, second + 3 + GAP, width)
+    assert torch.equal(laid[:, first : first + 9, GAP : GAP + 5], pictures[0])
+    assert torch.equal(laid[:, first : first + 9, 2 * GAP + 5 : -GAP], pictures[1])
+    assert torch.equal(laid[:, second : second + 3, GAP : GAP + 5], objects[0, :, 3:6])
+    assert torch.equal(laid[:, second : second + 3, 2 * GAP + 5 : -GAP], objects[1, :, 3:6])
+    assert (laid[:, first : first + 9, GAP + 5 : 2 * GAP + 5] == 1).all()
+
+
+def test_sheets_name_their_rows() -> None:
+    row = torch.full((4, 3, 8, 32), 0.5)
+    named, other = (sheet({name: row}) for name in ("photograph", "fine-tuned"))
+    assert named[:, :NAME_HEIGHT].min() < 0.1
+    assert not torch.equal(named[:, :NAME_HEIGHT], other[:, :NAME_HEIGHT])
+    assert torch.equal(named[:, NAME_HEIGHT:], other[:, NAME_HEIGHT:])
 
 
 def test_enlarged_pixels_are_squares() -> None:
