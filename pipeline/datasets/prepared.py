@@ -1,6 +1,8 @@
 """What every source of pictures is brought into, and how it is written."""
 
+import io
 import math
+import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -81,8 +83,17 @@ def write_truth(folder: Path, truth: Truth) -> None:
         for split, group in truth.items():
             (temporary / split).mkdir()
             for category, known in group.items():
-                np.savez(temporary / split / f"{category}.npz", **known._asdict())
+                _write_arrays(temporary / split / f"{category}.npz", known._asdict())
         write_json(temporary / "index.json", sorted({name for group in truth.values() for name in group}))
+
+
+def _write_arrays(path: Path, arrays: Mapping[str, np.ndarray]) -> None:
+    """Write what `np.load` reads; the bytes of `np.savez` depend on the version of Python."""
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, array in arrays.items():
+            content = io.BytesIO()
+            np.lib.format.write_array(content, np.asarray(array), allow_pickle=False)
+            archive.writestr(zipfile.ZipInfo(f"{name}.npy"), content.getbuffer())
 
 
 def _write_index(folder: Path, counts: Mapping[str, Mapping[str, int]], size: int) -> None:

@@ -21,6 +21,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from pipeline.distributed import divide
+from pipeline.errors import ConfigError
 from pipeline.networks.feature_extractor import FeatureExtractor
 
 AZIMUTHS = 72
@@ -55,6 +56,11 @@ class ConsensusConfig:
     ridge: float
     folds: int
     sharpness: float
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError where the smaller end would be the larger one."""
+        if not 0 <= self.smaller_end <= 0.5:
+            raise ConfigError(f"consensus.smaller_end is {self.smaller_end}; expected a part from 0 to 0.5")
 
 
 @torch.no_grad()

@@ -101,7 +101,7 @@ def test_each_ablation_changes_what_its_name_says() -> None:
         "none": {},
         **constraints,
         "no-smoothness": {"smoothness": False, "base_roughness": 0},
-        "no-symmetry": {"symmetry": False, "mirror": False},
+        "no-symmetry": {"symmetry": False, "mirror_texture": False, "mirror": False, "mirrored_regression": 0},
         "fixed-base": {"base_learning": None},
         "single-stage": single_stage,
         "single-stage-no-constraints": single_stage | free,

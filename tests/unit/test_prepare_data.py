@@ -1,6 +1,7 @@
 """prepare_data writes everything or, after one sentence, nothing."""
 
 import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -69,6 +70,13 @@ def test_the_toybox_has_its_truth(tmp_path: Path, prepare: Callable[..., Path]) 
             assert {name: truth[name].dtype for name in ("azimuth", "center", "vertices")} == dict.fromkeys(
                 ("azimuth", "center", "vertices"), np.dtype(np.float32)
             )
+
+
+def test_truth_holds_no_date_and_no_version_of_python(tmp_path: Path, prepare: Callable[..., Path]) -> None:
+    with zipfile.ZipFile(prepare("toybox", tmp_path) / "truth/train/car.npz") as archive:
+        assert {(member.date_time, member.extract_version) for member in archive.infolist()} == {
+            ((1980, 1, 1, 0, 0, 0), 20)
+        }
 
 
 def test_a_dataset_may_change_the_size(tmp_path: Path, prepare: Callable[..., Path]) -> None:
