@@ -33,21 +33,20 @@ def main() -> None:
     tensors, _ = load_tensors(arguments.base_shape)
     seeds, faces, scores = (tensors[name] for name in ("seed_vertices", "faces", "seed_scores"))
     views = [on_white(render_clay(seed, faces, SEED_AZIMUTHS, config.camera, config.view)) for seed in seeds]
-    write_png(arguments.figure, sheet(dict(zip(seed_names(scores), views, strict=True))))
+    chosen = int(scores.argmin())
+    write_png(arguments.figure, sheet(dict(zip(seed_names(scores, chosen), views, strict=True))))
     training, test = (load_true_split(arguments.truth, split, arguments.category) for split in ("train", "test"))
     figures = {}
     if training is not None and test is not None and training.objects is not None and test.objects is not None:
-        chosen = int(scores.argmin())
         figures = base_shape_figures(seeds, faces, chosen, training.objects, test.objects, config.voxel_resolution)
     write_json(arguments.out, figures)
 
 
-def seed_names(scores: Float[Tensor, " S"]) -> list[str]:
-    """Say every seed's score and which one was chosen."""
-    chosen = int(scores.argmin())
-    return [
-        f"seed {seed}, score {score:.2f}" + ", chosen" * (seed == chosen) for seed, score in enumerate(scores.tolist())
-    ]
+def seed_names(scores: Float[Tensor, " S"], chosen: int) -> list[str]:
+    """Say every seed's score, and which one was chosen."""
+    names = [f"seed {seed}, score {score:.2f}" for seed, score in enumerate(scores.tolist())]
+    names[chosen] += ", chosen"
+    return names
 
 
 if __name__ == "__main__":

@@ -98,8 +98,7 @@ def load_true_split(folder: Path, split: str, category: str) -> Truth | None:
 
 def select(truth: Truth, index: Int[Tensor, " B"]) -> Truth:
     """Keep the chosen pictures of a split."""
-    pose = Pose(*(values[index] for values in truth.pose))
     objects = truth.objects
     if objects is not None:
         objects = objects._replace(masks=objects.masks[index], vertices=objects.vertices[index])
-    return Truth(pose, objects)
+    return Truth(truth.pose.at(index), objects)

@@ -64,7 +64,7 @@ def evaluate_views(
 def render_views(found: Reconstructions, model: FullModel, config: MultiviewConfig) -> Float[Tensor, "B K 3 H W"]:
     """Render fine-tuned objects where they are in their photographs, with their backgrounds, from all azimuths."""
     chosen, renderer = slice(config.objects), model.config.renderer
-    pose = Pose(*(values[chosen] for values in found.tuned.pose))
+    pose = found.tuned.pose.at(chosen)
     pose = pose._replace(elevation=torch.full_like(pose.elevation, math.radians(config.elevation)))
     mesh = Mesh(found.tuned.vertices[chosen], found.faces, found.directions)
     backgrounds = found.tuned.backgrounds[chosen]

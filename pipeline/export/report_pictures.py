@@ -73,7 +73,7 @@ class Gallery:
         found = self.reconstructions
         size = self.photographs.shape[-1]
         mesh = Mesh(found.tuned.vertices[index], found.faces, found.directions)
-        pose = type(found.tuned.pose)(*(values[index] for values in found.tuned.pose))
+        pose = found.tuned.pose.at(index)
         pose = pose._replace(azimuth=pose.azimuth + torch.tensor(turn).deg2rad())
         if self._framing == "box":
             pose = fill_picture(mesh.vertices, pose, self._camera)

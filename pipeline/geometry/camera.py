@@ -5,7 +5,7 @@ from math import radians, tan
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 NEAREST_DEPTH = 1e-3
@@ -35,6 +35,10 @@ class Pose(NamedTuple):
     """Where the world's origin falls in the picture, in ndc."""
     scale: Float[Tensor, "B"]
     """Factor on the size in the picture; 1 leaves the perspective projection as it is."""
+
+    def at(self, index: Int[Tensor, " K"] | slice) -> "Pose":
+        """Return the poses of some of the objects."""
+        return Pose(*(values[index] for values in self))
 
 
 def pose_to_tensor(pose: Pose) -> Float[Tensor, "B 6"]:
