@@ -14,25 +14,32 @@ _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # of glibc's malloc.h; -1 never trims, 
 
 
 def resolve_device(name: str) -> torch.device:
-    """Turn `cpu`, `cuda` or `auto` (a GPU where there is one) into a device.
+    """Turn `cpu`, `cuda` or `auto` (a GPU where there is one) into a device, and prepare this process for it.
 
-    On a GPU, convolutions then round their factors to TF32; matrix products do not, which would move projected vertices
-    (docs/decisions.md). This process keeps the memory it frees from then on. Raises ConfigError for any other name, and
-    for `cuda` on a machine without a GPU.
+    Raises ConfigError for any other name, and for `cuda` on a machine without a GPU.
     """
     if name not in ("auto", "cpu", "cuda"):
         raise ConfigError(f"device is '{name}'; expected auto, cpu or cuda")
     if name == "cuda" and not torch.cuda.is_available():
         raise ConfigError("device is 'cuda' but PyTorch finds no GPU here; set device to auto or cpu")
-    torch.backends.cudnn.conv.fp32_precision = "tf32"  # pyright: ignore[reportAttributeAccessIssue]
-    torch.backends.cuda.matmul.fp32_precision = "ieee"
-    keep_freed_memory()
+    prepare_process()
     if name == "auto":
         return torch.device("cuda" if torch.cuda.is_available() else "cpu")
     return torch.device(name)
 
 
-def keep_freed_memory() -> None:
+def prepare_process() -> None:
+    """Set what every process that computes has in common.
+
+    On a GPU, convolutions round their factors to TF32; matrix products do not, which would move projected vertices
+    (docs/decisions/gpu.md). Memory that is freed stays with the process.
+    """
+    torch.backends.cudnn.conv.fp32_precision = "tf32"  # pyright: ignore[reportAttributeAccessIssue]
+    torch.backends.cuda.matmul.fp32_precision = "ieee"
+    _keep_freed_memory()
+
+
+def _keep_freed_memory() -> None:
     """Let this process use the memory again that its main thread frees, where its C library is glibc.
 
     Otherwise every large tensor is memory that the system has just cleared, page by page: a fifth of a training step

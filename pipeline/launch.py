@@ -16,7 +16,7 @@ import torch
 import torch.distributed as dist
 from torch.multiprocessing.spawn import ProcessException, ProcessExitedException, spawn
 
-from pipeline.device import keep_freed_memory
+from pipeline.device import prepare_process
 from pipeline.errors import ConfigError, ProcessKilled, UserError
 
 _GRACE = 5.0
@@ -110,7 +110,7 @@ def _work(
     arguments: tuple[object, ...],
 ) -> None:
     """Join the group, take the GPU of this process, and work."""
-    keep_freed_memory()
+    prepare_process()
     if device.type == "cuda":
         torch.cuda.set_device(local_rank % torch.cuda.device_count())
     dist.init_process_group("cpu:gloo,cuda:nccl" if device.type == "cuda" else "gloo", timeout=_PATIENCE, **group)

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from pipeline.distributed import is_first, world
-from pipeline.files import save_tensors
+from pipeline.files import save_tensors, write_json
 from pipeline.networks.scene_generator import scene_tensors
 from pipeline.training.base_shape import SeedTrainer, build_sphere, learn_base_shape
 from pipeline.training.candidates import Record
@@ -38,6 +38,7 @@ def take_steps(folder: Path) -> None:
     with double_precision():
         state = {**_features(), **_base_shape(), **_warm_up(), **_first_poses(), **_lessons(), **_ends(), **_full()}
     save_tensors(folder / f"{world().rank}.safetensors", state, {})
+    write_json(folder / f"{world().rank}.convolutions.json", torch.backends.cudnn.conv.fp32_precision)  # pyright: ignore[reportAttributeAccessIssue]
     learn_seeds(folder)
     train(folder, None)
 

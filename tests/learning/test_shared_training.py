@@ -65,6 +65,10 @@ def test_every_process_holds_the_same_state(two: Path) -> None:
     assert (two / "0.safetensors").read_bytes() == (two / "1.safetensors").read_bytes()
 
 
+def test_started_processes_round_convolutions_of_a_gpu_as_a_single_one_does(two: Path) -> None:
+    assert {read_json(two / f"{rank}.convolutions.json") for rank in range(2)} == {"tf32"}
+
+
 def test_seeds_learned_side_by_side_are_those_learned_in_turn(one: Path, two: Path) -> None:
     assert (two / "seeds.safetensors").read_bytes() == (one / "seeds.safetensors").read_bytes()
 
