@@ -1,4 +1,4 @@
-"""The command line: `kato3d reconstruct`, `kato3d view`, `kato3d runs` and `kato3d doctor`."""
+"""The command line: `kato3d arrange`, `kato3d reconstruct`, `kato3d view`, `kato3d runs` and `kato3d doctor`."""
 
 import sys
 import webbrowser
@@ -44,6 +44,18 @@ def _parser() -> ArgumentParser:
         help="fit background, pose and shape to each; takes seconds a photograph on a CPU",
     )
     reconstruct.set_defaults(command=_reconstruct)
+    arrange = commands.add_parser("arrange", help="bring a folder of photographs into the form to learn from")
+    arrange.add_argument("folder", type=Path, metavar="FOLDER", help="photographs of one category, at any depth")
+    arrange.add_argument("--category", required=True, help="what they show, such as ship")
+    arrange.add_argument("--out", type=Path, required=True, help="folder to write, the SOURCE of make run")
+    arrange.add_argument(
+        "--least-side",
+        type=int,
+        default=32,
+        metavar="PIXELS",
+        help="photographs whose short side is below it are left out; default: %(default)s",
+    )
+    arrange.set_defaults(command=_arrange)
     view = commands.add_parser("view", help="open the page of a run")
     view.add_argument("--run", help="default: the first run in params.yaml")
     view.set_defaults(command=_view)
@@ -75,6 +87,15 @@ def _reconstruct(arguments: Namespace) -> None:
     print(f"{outcome.written} written to {out}, {outcome.skipped} already there, {len(outcome.failures)} failed")
     if outcome.failures:
         sys.exit("\n".join(f"error: {failure}" for failure in outcome.failures))
+
+
+def _arrange(arguments: Namespace) -> None:
+    from pipeline.cli.arrange import arrange
+
+    train, test, left_out = arrange(arguments.folder, arguments.category, arguments.out, arguments.least_side)
+    for reason in left_out:
+        print(f"left out: {reason}")
+    print(f"{train} for training and {test} for testing written to {arguments.out}, {len(left_out)} left out")
 
 
 def _outputs(text: str) -> list[str]:

@@ -32,6 +32,20 @@ class Task(NamedTuple):
         return all(self.file(ending).is_file() for output in outputs for ending in FILES[output])
 
 
+def find_photographs(folder: Path, without: Path | None = None) -> list[Path]:
+    """List the photographs below a folder by name, without those below another one.
+
+    Raises DataError where there is no folder, and where it has none.
+    """
+    if not folder.is_dir():
+        raise DataError(f"{folder} does not exist; give the path of a photograph or of a folder of photographs")
+    images = (file for file in folder.rglob("*") if file.suffix.lower() in ENDINGS and file.is_file())
+    found = sorted(file for file in images if without is None or without not in file.resolve().parents)
+    if not found:
+        raise DataError(f"{folder} holds no photographs ({' '.join(sorted(ENDINGS))}); give another folder")
+    return found
+
+
 def list_tasks(paths: Sequence[Path], out: Path) -> list[Task]:
     """List the photographs among files and, at any depth, folders, whose arrangement the outputs keep.
 
@@ -52,12 +66,6 @@ def _tasks(path: Path, out: Path) -> Iterator[Task]:
     if path.is_file():
         yield Task(path, out / path.stem)
         return
-    if not path.is_dir():
-        raise DataError(f"{path} does not exist; give the path of a photograph or of a folder of photographs")
-    images = (file for file in path.rglob("*") if file.suffix.lower() in ENDINGS and file.is_file())
     inside = path.resolve() in out.resolve().parents
-    found = sorted(file for file in images if not inside or out.resolve() not in file.resolve().parents)
-    if not found:
-        raise DataError(f"{path} holds no photographs ({' '.join(sorted(ENDINGS))}); give another folder")
-    for file in found:
+    for file in find_photographs(path, without=out.resolve() if inside else None):
         yield Task(file, out / file.relative_to(path).with_suffix(""))

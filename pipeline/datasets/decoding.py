@@ -28,7 +28,7 @@ def decode(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, 
     Pictures are made smaller, never larger. Raises DataError, naming the picture, if it cannot be read to its end, is
     not RGB, or is too small.
     """
-    with _reading(name):
+    with reading(name):
         picture = ImageOps.exif_transpose(Image.open(io.BytesIO(content)))
         picture.load()
     if picture.mode != "RGB":
@@ -46,7 +46,7 @@ def cut_boxes(content: bytes, name: str, boxes: Sequence[Box], size: int) -> lis
     Boxes count from the picture's corner as it is stored, and end at its border. Raises DataError, naming the picture,
     if it cannot be read to its end or a box has no pixel of it.
     """
-    with _reading(name):
+    with reading(name):
         picture = Image.open(io.BytesIO(content)).convert("RGB")
     return [_cut(picture, name, box, size) for box in boxes]
 
@@ -62,7 +62,8 @@ def _cut(picture: Image.Image, name: str, box: Box, size: int) -> UInt8[np.ndarr
 
 
 @contextmanager
-def _reading(name: str) -> Iterator[None]:
+def reading(name: str) -> Iterator[None]:
+    """Turn what goes wrong when a picture is read inside the block into a DataError that names the picture."""
     try:
         yield
     except UnidentifiedImageError:  # its text names the buffer, not the picture

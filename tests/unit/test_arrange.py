@@ -1,0 +1,76 @@
+"""A folder of photographs becomes what `prepare_data` reads."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from pipeline.cli.__main__ import main
+from pipeline.cli.arrange import LONGEST, arrange
+from pipeline.datasets.folder import FolderConfig, read_folder
+from pipeline.errors import DataError
+from tests.picture_trees import noise, picture, write_folder
+
+
+def test_every_tenth_photograph_is_for_testing(tmp_path: Path) -> None:
+    photos = write_folder(tmp_path / "photos", {f"{number % 3}/{number:02}.jpg": noise(number) for number in range(21)})
+    (photos / "notes.txt").write_text("no photograph")
+    assert arrange(photos, "ship", tmp_path / "mine", 32) == (18, 3, [])
+    pictures = list(read_folder(tmp_path / "mine", FolderConfig(32, "crop")))
+    assert [sum(one.split == split for one in pictures) for split in ("train", "test")] == [18, 3]
+    assert {one.category for one in pictures} == {"ship"}
+
+
+def test_photographs_become_upright_rgb_and_not_too_large(tmp_path: Path) -> None:
+    lying = Image.new("RGB", (80, 40), "red")
+    lying.getexif()[0x0112] = 6  # to be turned by a quarter
+    stream = io.BytesIO()
+    lying.save(stream, "JPEG", exif=lying.getexif())
+    clear = io.BytesIO()
+    Image.new("RGBA", (40, 40), (255, 0, 0, 0)).save(clear, "PNG")
+    files = {
+        "a.jpg": stream.getvalue(),
+        "b.png": picture(mode="L"),
+        "c.PNG": clear.getvalue(),
+        "d.png": picture(width=2000, height=500),
+    }
+    arrange(write_folder(tmp_path / "photos", files), "ship", tmp_path / "mine", 32)
+    paths = sorted((tmp_path / "mine").rglob("*.jpg"), key=lambda path: path.name)
+    written = [Image.open(io.BytesIO(path.read_bytes())) for path in paths]
+    assert [image.mode for image in written] == ["RGB"] * 4
+    assert [image.size for image in written] == [(40, 80), (32, 32), (40, 40), (LONGEST, LONGEST // 4)]
+    assert np.asarray(written[2]).min() > 250
+
+
+def test_what_cannot_be_used_is_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    files = {f"{number}.jpg": noise(number) for number in range(3)}
+    files |= {"broken.jpg": noise(9)[:300], "small.png": picture(width=31)}
+    photos, out = write_folder(tmp_path / "photos", files), tmp_path / "mine"
+    main(["arrange", str(photos), "--category", "ship", "--out", str(out)])
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith(f"left out: {photos / 'broken.jpg'} cannot be read as a picture")
+    assert said[1:] == [
+        f"left out: {photos / 'small.png'} is 31x32 px; expected at least 32 px along the short side",
+        f"2 for training and 1 for testing written to {out}, 2 left out",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("files", "category", "out", "message"),
+    [
+        ({"a.jpg": noise(0)}, "ship", "mine", "has 1 photographs that can be used; expected at least 2"),
+        ({"a.txt": b""}, "ship", "mine", "holds no photographs"),
+        ({"a.jpg": noise(0)}, "my ship", "mine", "the category is 'my ship'; expected a name of letters"),
+        ({"a.jpg": noise(0)}, "ship", "photos", "photos exists; name a folder that does not"),
+    ],
+)
+def test_what_is_wrong_is_one_sentence_and_leaves_nothing(
+    tmp_path: Path, files: dict[str, bytes], category: str, out: str, message: str
+) -> None:
+    photos = write_folder(tmp_path / "photos", files)
+    before = sorted(tmp_path.rglob("*"))
+    with pytest.raises(DataError, match=message):
+        arrange(photos, category, tmp_path / out, 32)
+    assert sorted(tmp_path.rglob("*")) == before
