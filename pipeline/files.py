@@ -10,7 +10,7 @@ from typing import Any
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
-from torch import Tensor
+from torch import Tensor, nn
 
 from pipeline.errors import DataError
 
@@ -78,6 +78,16 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     except (SafetensorError, KeyError):
         raise DataError(
             f"{path} is damaged or not one of this pipeline's files; run the stage that writes it"
+        ) from None
+
+
+def load_weights(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
+    """Put the tensors of a file into a network. Raises DataError where some are missing or of another shape."""
+    try:
+        network.load_state_dict({name: tensors[name] for name in network.state_dict()})
+    except (KeyError, RuntimeError):
+        raise DataError(
+            f"{path} holds other weights than this code's networks have; run the stage that writes it again"
         ) from None
 
 

@@ -142,6 +142,11 @@ def _turn_on_dataset(document: CommentedMap, name: str, source: Path | None, con
     wanted = {"size": size} | ({"fit": "pad"} if config.framing == "box" else {})
     if own := {key: value for key, value in wanted.items() if is_new and settings.get(key, value) != value}:
         entry[kind] = own
+    if "fit" in settings and config.framing == "box" and (settings | own)["fit"] != "pad":
+        raise ConfigError(
+            f"pictures of '{name}' are cut to a square, but this row wants them whole (fit: pad); name a second "
+            "dataset with DATASET= and SOURCE="
+        )
     found = _picture_size(kind, settings | own)
     if found != size:
         raise ConfigError(
@@ -164,6 +169,8 @@ def _turn_on_features(document: CommentedMap, name: str, entry: dict[str, Any], 
             return
         if document["sizes"][size]["train_features"].get("method") == "pretrained":
             raise ConfigError(f"size '{size}' compares pictures by a given network; name its weights with FEATURES=")
+    if weights is not None and not re.fullmatch(r"[\w./~+-]+", str(weights)):
+        raise ConfigError(f"FEATURES={str(weights)!r} becomes part of a command; give a path without spaces and quotes")
     given = document["weights"] if weights is None else str(_existing("FEATURES", weights))
     _put(features, name, {**entry, "weights": given})
 

@@ -92,10 +92,13 @@ def _reconstruct(arguments: Namespace) -> None:
 def _arrange(arguments: Namespace) -> None:
     from pipeline.cli.arrange import arrange
 
-    train, test, left_out = arrange(arguments.folder, arguments.category, arguments.out, arguments.least_side)
-    for reason in left_out:
+    found = arrange(arguments.folder, arguments.category, arguments.out, arguments.least_side)
+    for reason in found.left_out:
         print(f"left out: {reason}")
-    print(f"{train} for training and {test} for testing written to {arguments.out}, {len(left_out)} left out")
+    for ending, count in sorted(found.passed_over.items()):
+        print(f"passed over: {count} files that end in '{ending}'")
+    left_out = len(found.left_out)
+    print(f"{found.train} for training and {found.test} for testing written to {arguments.out}, {left_out} left out")
 
 
 def _outputs(text: str) -> list[str]:

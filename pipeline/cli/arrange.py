@@ -2,14 +2,18 @@
 
 import io
 import re
+from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 from PIL import Image, ImageOps
 from tqdm import tqdm
 
 from pipeline.cli.photographs import find_photographs
 from pipeline.datasets.decoding import reading
+from pipeline.datasets.folder import ENDINGS
 from pipeline.errors import DataError
 from pipeline.files import atomic_path
 
@@ -19,22 +23,30 @@ LONGEST = 1024
 
 
 class Arranged(NamedTuple):
-    """How many photographs each split got, and why others were left out, a sentence each."""
+    """How many photographs each split got.
+
+    Attributes:
+        left_out: why others got none, a sentence each.
+        passed_over: how many files there are of each ending that no picture has that can be read.
+    """
 
     train: int
     test: int
     left_out: list[str]
+    passed_over: Mapping[str, int]
 
 
 def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged:
     """Write the photographs below a folder as `train/<category>/*.jpg` and, every tenth, `test/<category>/*.jpg`.
 
-    They are turned upright, become RGB, on white where they are transparent, and no side stays longer than 1024 px.
-    Those that cannot be read, or whose short side is below `least_side` pixels, are left out. Raises DataError where
-    nothing can be written, and where fewer than two photographs are left.
+    They are turned upright, become RGB, on white where they are transparent, and are made smaller until their long side
+    is 1024 px or their short side `least_side`. Those that cannot be read, or whose short side is below `least_side`
+    pixels, are left out. Raises DataError where nothing can be written, and where fewer than two photographs are left.
     """
-    if not re.fullmatch(r"[\w-]+", category):
-        raise DataError(f"the category is '{category}'; expected a name of letters, digits, _ and -")
+    if not re.fullmatch(r"[A-Za-z0-9_-]+", category):
+        raise DataError(f"the category is '{category}'; expected a name of letters, digits, _ and - (a to z)")
+    if not folder.is_dir():
+        raise DataError(f"{folder} is no folder; give one of photographs of one category")
     if out.exists():
         raise DataError(f"{out} exists; name a folder that does not")
     counts, left_out = {"train": 0, "test": 0}, []
@@ -52,7 +64,9 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
             counts[split] += 1
         if not counts["train"]:
             raise DataError(f"{folder} has {counts['test']} photographs that can be used; expected at least 2")
-    return Arranged(counts["train"], counts["test"], left_out)
+    files = (path for path in folder.rglob("*") if path.is_file())
+    passed_over = Counter(path.suffix.lower() for path in files if path.suffix.lower() not in ENDINGS)
+    return Arranged(counts["train"], counts["test"], left_out, passed_over)
 
 
 def _upright(path: Path, least_side: int) -> Image.Image:
@@ -65,6 +79,19 @@ def _upright(path: Path, least_side: int) -> Image.Image:
     if picture.has_transparency_data:
         picture = picture.convert("RGBA")
         picture = Image.alpha_composite(Image.new("RGBA", picture.size, "white"), picture)
-    picture = picture.convert("RGB")
-    picture.thumbnail((LONGEST, LONGEST), Image.Resampling.LANCZOS)
-    return picture
+    return _smaller(_eight_bits(picture).convert("RGB"), least_side)
+
+
+def _eight_bits(picture: Image.Image) -> Image.Image:
+    """Bring grey values of 16 bits to 8, which PIL would cut off at 255."""
+    if not picture.mode.startswith("I"):
+        return picture
+    return Image.fromarray((np.asarray(picture).clip(0, 65535) / 257).round().astype(np.uint8))
+
+
+def _smaller(picture: Image.Image, least_side: int) -> Image.Image:
+    factor = max(LONGEST / max(picture.size), least_side / min(picture.size))
+    if factor >= 1:
+        return picture
+    width, height = (round(side * factor) for side in picture.size)
+    return picture.resize((width, height), Image.Resampling.LANCZOS)

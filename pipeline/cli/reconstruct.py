@@ -16,7 +16,7 @@ from tqdm import tqdm
 from pipeline.cli.photographs import FILES, Task
 from pipeline.cli.runs import Run
 from pipeline.config import load, scalar
-from pipeline.datasets.decoding import Fit, decode
+from pipeline.datasets.decoding import Fit, decode, reading
 from pipeline.datasets.prepare import PrepareConfig
 from pipeline.device import resolve_precision
 from pipeline.errors import DataError
@@ -69,7 +69,8 @@ def reconstruct(
     config = load(run.params, FineTuneConfig, ["fine_tune", f"sizes.{run.size}.fine_tune"])
     fit = load(run.params, PrepareConfig, ["prepare_data", f"datasets.{run.dataset}"]).fit
     report = load(run.params, ReportConfig, ["report"])
-    settings = repr([fit, report, sha256(run.features), *([config] if tuned else [])])
+    steps = replace(config, photographs=None, batch_size=1)  # neither changes what comes out
+    settings = repr([fit, report.frames, report.view, sha256(run.features), *([steps] if tuned else [])])
     way = {"model": sha256(run.model), "fine_tune": tuned, "settings": hashlib.sha256(settings.encode()).hexdigest()}
     _require_same_way(out, way)
     waiting = [task for task in tasks if not task.done(outputs)]
@@ -102,7 +103,9 @@ def _read(
     readable, images = [], [torch.zeros(0, 3, size, size, dtype=torch.uint8)]
     for task in tasks:
         try:
-            picture = decode(task.photograph.read_bytes(), str(task.photograph), size, fit)
+            with reading(str(task.photograph)):
+                content = task.photograph.read_bytes()
+            picture = decode(content, str(task.photograph), size, fit)
         except DataError as error:
             failures.append(str(error))
         else:

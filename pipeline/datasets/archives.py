@@ -81,7 +81,14 @@ def _read_zip(path: Path, wanted: Wanted) -> Iterator[Entry]:
             if wanted(name):
                 if member.flag_bits & _ENCRYPTED:
                     raise DataError(f"{path}: '{member.filename}' is encrypted; unpack the archive and name the folder")
-                yield Entry(name, None if member.is_dir() else archive.read(member))
+                try:
+                    content = None if member.is_dir() else archive.read(member)
+                except NotImplementedError:
+                    raise DataError(
+                        f"{path}: '{member.filename}' is packed in a way that cannot be read; unpack the archive and "
+                        "name the folder"
+                    ) from None
+                yield Entry(name, content)
 
 
 def _read_tar(path: Path, wanted: Wanted) -> Iterator[Entry]:

@@ -4,7 +4,7 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from pipeline.datasets.archives import read_tree
 from pipeline.datasets.prepared import Names, Truth
@@ -39,12 +39,16 @@ def has_table(path: Path) -> bool:
     """Whether a folder or an archive holds viewpoints of its pictures."""
     if path.is_dir():
         return (path / TABLE).is_file()
-    return any(True for _ in read_tree(path, lambda name: name.name == TABLE))
+    return any(True for _ in read_tree(path, _is_table))
+
+
+def _is_table(name: PurePosixPath) -> bool:
+    return name.name == TABLE
 
 
 def _read_angles(path: Path) -> Angles:
-    for name, content in read_tree(path):
-        if name.name == TABLE and content is not None:
+    for name, content in read_tree(path, _is_table):
+        if content is not None:
             return _parse(f"{path}: {name}", _text(f"{path}: {name}", content))
     raise DataError(f"{path} has no {TABLE}; expected one with the columns {', '.join((FILE, *ANGLES))}")
 

@@ -17,6 +17,7 @@ GAP = 4
 """Pixels between the pictures of a sheet and around them."""
 NAME_HEIGHT = 24
 """Of the line above a row of a sheet, in pixels."""
+_FONT, _FONT_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.55
 
 
 def sheet(rows: Mapping[str, Float[Tensor, "K 3 _ W"]]) -> Float[Tensor, "3 height width"]:
@@ -24,11 +25,11 @@ def sheet(rows: Mapping[str, Float[Tensor, "K 3 _ W"]]) -> Float[Tensor, "3 heig
 
     Pictures have the same width and those of a row the same height.
     """
-    parts = []
-    for name, pictures in rows.items():
-        row = functional.pad(_trim(pictures), (GAP, 0, GAP, 0), value=1.0)
-        row = functional.pad(strip(row), (0, GAP), value=1.0)
-        parts += [_write(name, row.shape[-1]), row]
+    names = [_write(name) for name in rows]
+    laid = [strip(functional.pad(_trim(pictures), (GAP, 0, GAP, 0), value=1.0)) for pictures in rows.values()]
+    parts = [part for pair in zip(names, laid, strict=True) for part in pair]
+    width = max(part.shape[-1] for part in parts) + GAP
+    parts = [functional.pad(part, (0, width - part.shape[-1]), value=1.0) for part in parts]
     return functional.pad(torch.cat(parts, dim=1), (0, 0, 0, GAP), value=1.0)
 
 
@@ -38,10 +39,11 @@ def _trim(pictures: Float[Tensor, "K 3 H W"]) -> Float[Tensor, "K 3 height W"]:
     return pictures[:, :, filled.min() : filled.max() + 1] if len(filled) else pictures
 
 
-def _write(text: str, width: int) -> Float[Tensor, "3 height width"]:
+def _write(text: str) -> Float[Tensor, "3 height width"]:
     """Write a line in black on white."""
-    line = np.full((NAME_HEIGHT, width), 255, dtype=np.uint8)
-    cv2.putText(line, text, (GAP, NAME_HEIGHT - 6), cv2.FONT_HERSHEY_SIMPLEX, 0.55, 0, 1, cv2.LINE_AA)
+    (width, _), _ = cv2.getTextSize(text, _FONT, _FONT_SCALE, 1)
+    line = np.full((NAME_HEIGHT, GAP + width), 255, dtype=np.uint8)
+    cv2.putText(line, text, (GAP, NAME_HEIGHT - 6), _FONT, _FONT_SCALE, 0, 1, cv2.LINE_AA)
     return torch.from_numpy(line).expand(3, -1, -1) / 255
 
 

@@ -10,7 +10,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from pipeline.config import from_json
-from pipeline.files import load_tensors
+from pipeline.files import load_tensors, load_weights
 from pipeline.geometry.camera import Pose
 from pipeline.networks.encoders import Encoder, EncoderConfig, FeatureEncoder, Features
 from pipeline.networks.generators import ImageBackgroundGenerator, StripesGenerator, TextureGenerator
@@ -174,10 +174,13 @@ def full_model_texts(model: FullModel) -> dict[str, str]:
 
 
 def load_full_model(path: Path, device: torch.device) -> FullModel:
-    """Load a model that `train_full` saved, in evaluation mode and in float32."""
+    """Load a model that `train_full` saved, in evaluation mode and in float32.
+
+    Raises DataError where its weights are not those of this code's networks.
+    """
     tensors, texts = load_tensors(path)
     config = from_json(texts["config"], FullModelConfig, path)
     base = Mesh(tensors["base_vertices"][None], tensors["faces"], tensors["directions"])
     model = FullModel(config, base, torch.float32, tensors["shape_encoder.project.weight"].shape[1] // 16)
-    model.load_state_dict({name: tensors[name] for name in model.state_dict()})
+    load_weights(model, tensors, path)
     return model.to(device).eval()

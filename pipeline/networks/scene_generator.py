@@ -1,7 +1,7 @@
 """Noise -> shape, texture and background of a category (paper 3.1, Fig. 4)."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -11,7 +11,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from pipeline.config import from_json
-from pipeline.files import load_tensors
+from pipeline.files import load_tensors, load_weights
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.symmetry import symmetrize
 from pipeline.networks.generators import (
@@ -115,9 +115,27 @@ class SceneGenerator(nn.Module):
         """Return shapes, textures and backgrounds generated from one noise vector each."""
         return Scene(self.vertices(noise), self.texture(noise), self.background(noise))
 
+    def draw(self, count: int, rng: torch.Generator) -> Scene:
+        """Return random scenes."""
+        return self(self.sample_noise(count, rng))
+
     def sample_noise(self, count: int, rng: torch.Generator) -> Float[Tensor, "B K"]:
         """Draw standard normal noise."""
         return torch.randn(count, self.config.generator.latent_size, generator=rng, device=rng.device)
+
+
+class RandomScenes(NamedTuple):
+    """Sources of random scenes, all on one mesh.
+
+    Attributes:
+        sources: each returns as many scenes as it is asked for.
+        faces: counter-clockwise from outside.
+        directions: unit vectors, the texture domain.
+    """
+
+    sources: Sequence[Callable[[int, torch.Generator], Scene]]
+    faces: Int[Tensor, "F 3"]
+    directions: Float[Tensor, "V 3"]
 
 
 class LearnedScenes(NamedTuple):
@@ -133,6 +151,10 @@ class LearnedScenes(NamedTuple):
     faces: Int[Tensor, "F 3"]
     directions: Float[Tensor, "V 3"]
 
+    def random(self) -> RandomScenes:
+        """Return one source a seed."""
+        return RandomScenes([one.draw for one in self.generators], self.faces, self.directions)
+
 
 def scene_tensors(generators: Sequence[SceneGenerator]) -> dict[str, Tensor]:
     """Stack the weights of generators that differ in nothing else, to be written into one file."""
@@ -146,18 +168,18 @@ def scene_texts(generator: SceneGenerator) -> dict[str, str]:
 
 
 def load_scenes(path: Path, device: torch.device) -> LearnedScenes:
-    """Load what `learn_base_shape` wrote."""
+    """Load what `learn_base_shape` wrote. Raises DataError where it was written by other code."""
     tensors, texts = load_tensors(path)
     config = from_json(texts["scene"], SceneConfig, path)
     best = int(tensors["seed_scores"].argmin())
     order = sorted(range(len(tensors["seed_scores"])), key=lambda seed: seed != best)
-    generators = [_build(config, tensors, seed).to(device).eval() for seed in order]
+    generators = [_build(config, tensors, seed, path).to(device).eval() for seed in order]
     return LearnedScenes(generators, tensors["faces"].to(device), tensors["directions"].to(device))
 
 
-def _build(config: SceneConfig, tensors: Mapping[str, Tensor], seed: int) -> SceneGenerator:
+def _build(config: SceneConfig, tensors: Mapping[str, Tensor], seed: int, path: Path) -> SceneGenerator:
     generator = SceneGenerator(config, tensors["initial_vertices"][seed], tensors["mirror_index"][seed])
-    generator.load_state_dict({name: tensors[name][seed] for name in generator.state_dict()})
+    load_weights(generator, {name: weights[seed] for name, weights in tensors.items()}, path)
     return generator
 
 

@@ -26,7 +26,9 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional
+from tqdm import tqdm
 
+from pipeline.distributed import is_first
 from pipeline.errors import ConfigError
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.pose_coordinates import PoseCoordinates
@@ -104,7 +106,9 @@ def tell_ends(
     to_the_right = turn[:, 1:] < 0
     odd = torch.where(to_the_right, -1, 1) * (features[0] - features[1])
     slant = -turn[:, 0].asin()
-    if (slant.abs() <= math.radians(config.side_reach)).sum() < _FEWEST:
+    if (sides := int((slant.abs() <= math.radians(config.side_reach)).sum())) < _FEWEST:
+        if is_first():
+            tqdm.write(f"ends stay as they are recorded: {sides} photographs show sides, telling them needs {_FEWEST}")
         return torch.zeros_like(slant)
     roll = torch.where(to_the_right, -1, 1) * poses.roll(coordinates)[:, None]
     others = torch.cat([slant[:, None] * coordinates[:, 2:3], roll], 1)

@@ -64,6 +64,16 @@ def test_an_encrypted_zip_is_refused(tmp_path: Path) -> None:
         contents(tmp_path / "locked.zip")
 
 
+def test_a_zip_that_is_packed_in_another_way_is_named(tmp_path: Path) -> None:
+    content = bytearray(write_zip(tmp_path / "pictures.zip", {"train/car/1.jpg": b"x"}).read_bytes())
+    deflate64 = b"\x09\x00"
+    table = content.index(b"PK\x01\x02")
+    content[8:10] = content[table + 10 : table + 12] = deflate64
+    (tmp_path / "other.zip").write_bytes(content)
+    with pytest.raises(DataError, match=r"'train/car/1\.jpg' is packed in a way that cannot be read; unpack"):
+        contents(tmp_path / "other.zip")
+
+
 def test_a_flipped_byte_in_a_zip_is_noticed(tmp_path: Path) -> None:
     path = write_zip(tmp_path / "pictures.zip", tree())
     content = bytearray(path.read_bytes())

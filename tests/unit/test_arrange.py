@@ -17,7 +17,7 @@ from tests.picture_trees import noise, picture, write_folder
 def test_every_tenth_photograph_is_for_testing(tmp_path: Path) -> None:
     photos = write_folder(tmp_path / "photos", {f"{number % 3}/{number:02}.jpg": noise(number) for number in range(21)})
     (photos / "notes.txt").write_text("no photograph")
-    assert arrange(photos, "ship", tmp_path / "mine", 32) == (18, 3, [])
+    assert arrange(photos, "ship", tmp_path / "mine", 32) == (18, 3, [], {".txt": 1})
     pictures = list(read_folder(tmp_path / "mine", FolderConfig(32, "crop")))
     assert [sum(one.split == split for one in pictures) for split in ("train", "test")] == [18, 3]
     assert {one.category for one in pictures} == {"ship"}
@@ -35,24 +35,37 @@ def test_photographs_become_upright_rgb_and_not_too_large(tmp_path: Path) -> Non
         "b.png": picture(mode="L"),
         "c.PNG": clear.getvalue(),
         "d.png": picture(width=2000, height=500),
+        "e.png": picture(width=4000, height=100),
+        "f.png": grey_of_16_bits(),
     }
     arrange(write_folder(tmp_path / "photos", files), "ship", tmp_path / "mine", 32)
     paths = sorted((tmp_path / "mine").rglob("*.jpg"), key=lambda path: path.name)
     written = [Image.open(io.BytesIO(path.read_bytes())) for path in paths]
-    assert [image.mode for image in written] == ["RGB"] * 4
-    assert [image.size for image in written] == [(40, 80), (32, 32), (40, 40), (LONGEST, LONGEST // 4)]
+    assert [image.mode for image in written] == ["RGB"] * 6
+    sizes = [(40, 80), (32, 32), (40, 40), (LONGEST, LONGEST // 4), (1280, 32), (40, 40)]
+    assert [image.size for image in written] == sizes
     assert np.asarray(written[2]).min() > 250
+    assert abs(np.asarray(written[5]).mean() - 127.5) < 2
+
+
+def grey_of_16_bits() -> bytes:
+    """Encode a ramp from black to white."""
+    ramp = np.linspace(0, 65535, 1600).round().astype(np.uint16).reshape(40, 40)
+    stream = io.BytesIO()
+    Image.fromarray(ramp).save(stream, "PNG")
+    return stream.getvalue()
 
 
 def test_what_cannot_be_used_is_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = {f"{number}.jpg": noise(number) for number in range(3)}
-    files |= {"broken.jpg": noise(9)[:300], "small.png": picture(width=31)}
+    files |= {"broken.jpg": noise(9)[:300], "small.png": picture(width=31), "a.HEIC": b"", "b.heic": b""}
     photos, out = write_folder(tmp_path / "photos", files), tmp_path / "mine"
     main(["arrange", str(photos), "--category", "ship", "--out", str(out)])
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith(f"left out: {photos / 'broken.jpg'} cannot be read as a picture")
     assert said[1:] == [
         f"left out: {photos / 'small.png'} is 31x32 px; expected at least 32 px along the short side",
+        "passed over: 2 files that end in '.heic'",
         f"2 for training and 1 for testing written to {out}, 2 left out",
     ]
 
@@ -63,6 +76,7 @@ def test_what_cannot_be_used_is_named_and_left_out(tmp_path: Path, capsys: pytes
         ({"a.jpg": noise(0)}, "ship", "mine", "has 1 photographs that can be used; expected at least 2"),
         ({"a.txt": b""}, "ship", "mine", "holds no photographs"),
         ({"a.jpg": noise(0)}, "my ship", "mine", "the category is 'my ship'; expected a name of letters"),
+        ({"a.jpg": noise(0)}, "café", "mine", "the category is 'café'; expected a name of letters"),
         ({"a.jpg": noise(0)}, "ship", "photos", "photos exists; name a folder that does not"),
     ],
 )
@@ -74,3 +88,9 @@ def test_what_is_wrong_is_one_sentence_and_leaves_nothing(
     with pytest.raises(DataError, match=message):
         arrange(photos, category, tmp_path / out, 32)
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_an_archive_is_no_folder(tmp_path: Path) -> None:
+    (tmp_path / "photos.zip").write_bytes(b"")
+    with pytest.raises(DataError, match=r"photos\.zip is no folder; give one of photographs"):
+        arrange(tmp_path / "photos.zip", "ship", tmp_path / "mine", 32)

@@ -18,7 +18,7 @@ from pipeline.cli import doctor
 from pipeline.cli.__main__ import main
 from pipeline.cli.photographs import Task, list_tasks
 from pipeline.datasets.decoding import Fit, decode
-from pipeline.files import save_tensors
+from pipeline.files import load_tensors, save_tensors
 from pipeline.networks.feature_extractor import extract, load_feature_extractor, save_feature_extractor
 from pipeline.networks.full_model import Reconstruction, full_model_texts
 from pipeline.networks.wide_resnet import WideResNet
@@ -131,6 +131,30 @@ def test_a_folder_is_reconstructed_but_for_what_cannot_be_read(
     assert (project / "out/car.glb").is_file()
     assert (project / "out/vans/van_pose.json").is_file()
     assert not list((project / "out").rglob("*.gif"))
+
+
+def test_a_photograph_that_cannot_be_opened_stops_no_other(
+    project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    read_bytes = Path.read_bytes
+
+    def refuse(path: Path) -> bytes:
+        if path.name == "car.png":
+            raise PermissionError(13, "Permission denied")
+        return read_bytes(path)
+
+    monkeypatch.setattr(Path, "read_bytes", refuse)
+    with pytest.raises(SystemExit, match=r"^error: .*car\.png cannot be read as a picture .*Permission denied"):
+        reconstruct(project, str(tmp_path / "car.png"), str(tmp_path / "van.png"), "--outputs", "pose")
+    assert (project / "out/van_pose.json").is_file()
+
+
+def test_a_model_of_other_code_names_the_stage_that_makes_it(project: Path, tmp_path: Path) -> None:
+    path = project / "models/full/toybox-car.safetensors"
+    tensors, texts = load_tensors(path)
+    save_tensors(path, {name: value for name, value in tensors.items() if "texture_decoder" not in name}, texts)
+    with pytest.raises(SystemExit, match=r"^error: .*toybox-car\.safetensors holds other weights than this code's"):
+        reconstruct(project, str(tmp_path / "car.png"))
 
 
 def test_what_was_written_into_a_folder_of_photographs_is_none_of_them(tmp_path: Path) -> None:

@@ -105,7 +105,7 @@ def test_figures_show_photographs_that_the_project_draws(tmp_path: Path) -> None
     shown = sorted(file.name for file in (tmp_path / "figures_True").iterdir() if shows_magenta(file))
     assert shown == ["examples.png", "reconstructions.png"]
     without, beside = (read_png((tmp_path / f"figures_{drawn}/examples.png").read_bytes()) for drawn in (False, True))
-    assert without.shape[1] == beside.shape[1] == 2 * (VIEW.size + GAP) + GAP
+    assert without.shape[1] == beside.shape[1]
     assert beside.shape[0] - without.shape[0] == NAME_HEIGHT + GAP + VIEW.size
 
 
@@ -152,21 +152,25 @@ def test_sheets_keep_pictures_in_their_places_and_leave_white_out() -> None:
     objects = torch.ones(2, 3, 8, 5)
     objects[0, :, 3:5, 1], objects[1, :, 4:6, 2] = 0.0, 0.75
     laid = sheet({"photograph": pictures, "shape": objects})
-    width, first, second = 3 * GAP + 2 * 5, NAME_HEIGHT + GAP, 2 * (NAME_HEIGHT + GAP) + 9
-    assert laid.shape == (3, second + 3 + GAP, width)
+    first, second = NAME_HEIGHT + GAP, 2 * (NAME_HEIGHT + GAP) + 9
+    assert laid.shape[1] == second + 3 + GAP
     assert torch.equal(laid[:, first : first + 9, GAP : GAP + 5], pictures[0])
-    assert torch.equal(laid[:, first : first + 9, 2 * GAP + 5 : -GAP], pictures[1])
+    assert torch.equal(laid[:, first : first + 9, 2 * GAP + 5 : 2 * GAP + 10], pictures[1])
     assert torch.equal(laid[:, second : second + 3, GAP : GAP + 5], objects[0, :, 3:6])
-    assert torch.equal(laid[:, second : second + 3, 2 * GAP + 5 : -GAP], objects[1, :, 3:6])
+    assert torch.equal(laid[:, second : second + 3, 2 * GAP + 5 : 2 * GAP + 10], objects[1, :, 3:6])
     assert (laid[:, first : first + 9, GAP + 5 : 2 * GAP + 5] == 1).all()
 
 
 def test_sheets_name_their_rows() -> None:
-    row = torch.full((4, 3, 8, 32), 0.5)
+    row = torch.full((4, 3, 8, 64), 0.5)
     named, other = (sheet({name: row}) for name in ("photograph", "fine-tuned"))
+    assert named.shape[2] == 4 * (64 + GAP) + GAP
     assert named[:, :NAME_HEIGHT].min() < 0.1
     assert not torch.equal(named[:, :NAME_HEIGHT], other[:, :NAME_HEIGHT])
     assert torch.equal(named[:, NAME_HEIGHT:], other[:, NAME_HEIGHT:])
+    narrow = sheet({"a long name above one narrow picture": row[:1]})
+    assert narrow[:, :NAME_HEIGHT, 64:].min() < 0.1
+    assert (narrow[:, :, -GAP:] == 1).all()
 
 
 def test_enlarged_pixels_are_squares() -> None:

@@ -97,6 +97,15 @@ def test_photographs_cut_to_boxes_stay_whole(params: Path, tmp_path: Path, row: 
     assert YAML(typ="safe").load(params)["datasets"]["cars"] == expected
 
 
+def test_photographs_that_were_cut_are_no_whole_ones(params: Path, tmp_path: Path) -> None:
+    given = {"dataset": "market", "source": tmp_path}
+    turn_on(params, _options("cifar10-automobile", category="cart", **given))
+    before = params.read_bytes()
+    with pytest.raises(ConfigError, match="pictures of 'market' are cut to a square, but this row wants them whole"):
+        turn_on(params, _options("pascal-car", category="stall", **given))
+    assert params.read_bytes() == before
+
+
 def test_names_say_what_is_unusual(params: Path, tmp_path: Path) -> None:
     unusual = {"size": "paper", "ablation": "no-symmetry", "seed": 2}
     assert turn_on(params, _options("toybox-car", **unusual)) == "toybox-car-paper-no-symmetry-seed2"
@@ -165,6 +174,7 @@ def test_what_is_no_parameter_file_is_said(params: Path) -> None:
         (_options("pascal-chair"), "no photographs of 'pascal3d' yet"),
         (_options("cifar10-horse", source=Path("nowhere.tar")), "SOURCE=nowhere.tar does not exist"),
         (_options("toybox-car", seed=1, size="paper", features=Path("no.npz")), "FEATURES=no.npz does not exist"),
+        (_options("toybox-car", features=Path("my net.npz")), "FEATURES='my net.npz' becomes part of a command"),
         (_options("toybox-car", category="sports car"), "CATEGORY='sports car' has other characters than letters"),
         (_options("xyz"), "rows has no 'xyz'; expected one of: cifar10-automobile, cifar10-horse"),
         (_options("toybox-car", category="plane"), "'toybox' has no category 'plane'; did you mean 'aeroplane'"),
