@@ -119,9 +119,7 @@ def _first_poses() -> dict[str, Tensor]:
     config, light = TRAINING.first_poses, TRAINING.warm_up.light
     assert config is not None
     return {
-        "first poses": first_poses(
-            trainer.model, tiny_scenes().random(), tiny_extractor(), images, config, light, trainer.rng
-        )
+        "first poses": first_poses(trainer.model, tiny_scenes(), tiny_extractor(), images, config, light, trainer.rng)
     }
 
 

@@ -80,9 +80,7 @@ TRAINING = FullTrainingConfig(
         paint=0.3,
         noise=0.1,
     ),
-    first_poses=FirstPosesConfig(
-        8, 0.5, 0.1, 0.85, 1.0, 20.0, ConsensusConfig(1, 0.4, 4, 0.3, 0.3, 2, 3.0), 100, (0.5,)
-    ),
+    first_poses=FirstPosesConfig(8, 0.5, 0.1, 0.85, 1.0, 20.0, ConsensusConfig(1, 0.4, 4, 0.3, 0.3, 2, 3.0), 100),
     lessons=LessonsConfig(2, 4, 1e-3, (0.9, 0.99)),
     ends=None,
     settle=0.5,

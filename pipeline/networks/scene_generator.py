@@ -1,7 +1,7 @@
 """Noise -> shape, texture and background of a category (paper 3.1, Fig. 4)."""
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -115,27 +115,9 @@ class SceneGenerator(nn.Module):
         """Return shapes, textures and backgrounds generated from one noise vector each."""
         return Scene(self.vertices(noise), self.texture(noise), self.background(noise))
 
-    def draw(self, count: int, rng: torch.Generator) -> Scene:
-        """Return random scenes."""
-        return self(self.sample_noise(count, rng))
-
     def sample_noise(self, count: int, rng: torch.Generator) -> Float[Tensor, "B K"]:
         """Draw standard normal noise."""
         return torch.randn(count, self.config.generator.latent_size, generator=rng, device=rng.device)
-
-
-class RandomScenes(NamedTuple):
-    """Sources of random scenes, all on one mesh.
-
-    Attributes:
-        sources: each returns as many scenes as it is asked for.
-        faces: counter-clockwise from outside.
-        directions: unit vectors, the texture domain.
-    """
-
-    sources: Sequence[Callable[[int, torch.Generator], Scene]]
-    faces: Int[Tensor, "F 3"]
-    directions: Float[Tensor, "V 3"]
 
 
 class LearnedScenes(NamedTuple):
@@ -150,10 +132,6 @@ class LearnedScenes(NamedTuple):
     generators: list[SceneGenerator]
     faces: Int[Tensor, "F 3"]
     directions: Float[Tensor, "V 3"]
-
-    def random(self) -> RandomScenes:
-        """Return one source a seed."""
-        return RandomScenes([one.draw for one in self.generators], self.faces, self.directions)
 
 
 def scene_tensors(generators: Sequence[SceneGenerator]) -> dict[str, Tensor]:

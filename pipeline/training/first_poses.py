@@ -1,13 +1,10 @@
-"""First poses of photographs, before full training and again within it (ours).
+"""First poses of photographs, before full training (ours).
 
 The best pose of a photograph cannot be found by rendering while its texture is unknown. But base-shape learning leaves
 generators of such textures, one a seed: a photograph resembles renderings from its own side more than others, whatever
 their paint. Photographs and renderings are cut to the object's box, and renderings vote for their azimuths on the
 photographs that resemble them. Renderings that resemble every photograph say nothing, so each one's mean distance is
 taken off first. `azimuths` then joins the votes of all generators and makes them consistent.
-
-Where base shapes are poor, votes are too. Full training improves the shape and learns textures of photographs, so the
-model's own objects can vote again.
 """
 
 from dataclasses import dataclass
@@ -20,12 +17,11 @@ from tqdm import tqdm
 
 from pipeline.datasets.images import Images
 from pipeline.distributed import divide, silent, world
-from pipeline.errors import ConfigError
 from pipeline.losses.image_distance import Features, pairwise_feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_coordinates import PoseCoordinates
-from pipeline.networks.scene_generator import RandomScenes
+from pipeline.networks.scene_generator import LearnedScenes, SceneGenerator
 from pipeline.rendering.renderer import Mesh, render
 from pipeline.training.azimuths import ConsensusConfig, agree_on_azimuths, bins, join_votes
 from pipeline.training.viewpoints import LightConfig, sample_lights
@@ -38,14 +34,13 @@ class FirstPosesConfig:
     """Settings of the first poses.
 
     Attributes:
-        renderings: how many of each source's renderings a photograph is compared with.
+        renderings: how many of each generator's renderings a photograph is compared with.
         pose_reach: part of the ranges of roll and box that they cover: few photographs are at the ends.
         box_jitter: standard deviation of errors put on their boxes, in pose coordinates: photographs' are estimates.
         box_size: longer side of the box over the side of a cut picture.
         temperature: of the vote, in standard deviations of a photograph's distances; small ones let the nearest decide.
         concentration: of the votes' kernel over azimuths (von Mises); 20 is about 13 degrees wide.
         photographs: how many get first poses, from the first on: each is compared with every rendering at once.
-        again: after which parts of full training the model's own objects vote again; none where it is empty.
     """
 
     renderings: int
@@ -56,20 +51,12 @@ class FirstPosesConfig:
     concentration: float
     consensus: ConsensusConfig
     photographs: int
-    again: tuple[float, ...]
-
-    def __post_init__(self) -> None:
-        """Raise ConfigError for a vote outside of the training."""
-        if not all(0 < part < 1 for part in self.again):
-            raise ConfigError(
-                f"first_poses.again is {list(self.again)}; expected parts of the training, above 0 and below 1"
-            )
 
 
 @torch.no_grad()
 def first_poses(
     model: FullModel,
-    scenes: RandomScenes,
+    scenes: LearnedScenes,
     extractor: FeatureExtractor,
     photographs: UInt8[Tensor, "N 3 H W"],
     config: FirstPosesConfig,
@@ -78,8 +65,8 @@ def first_poses(
 ) -> Float[Tensor, "N 7"]:
     """Return pose coordinates of photographs of mirror-symmetric objects.
 
-    Where the objects are is what the model's student says; elevation and roll are those of the first source's
-    renderings that vote for the azimuth.
+    Where the objects are is what the model's student, warmed up on renderings, says; elevation and roll are those of
+    the chosen generator's renderings that vote for the azimuth.
     """
     estimated = read_poses(model, photographs)
     cuts = cut_to_box(
@@ -87,9 +74,7 @@ def first_poses(
     )
     poses = _rendered_poses(model, config, rng)
     kernel = _kernel(poses, config.concentration)
-    rendered = [
-        _cut_renderings(model, scenes, number, poses, config, light, rng) for number in range(len(scenes.sources))
-    ]
+    rendered = [_cut_renderings(model, scenes, one, poses, config, light, rng) for one in scenes.generators]
 
     described = _describe(cuts, extractor)
 
@@ -149,17 +134,17 @@ def _rendered_poses(model: FullModel, config: FirstPosesConfig, rng: torch.Gener
 
 def _cut_renderings(
     model: FullModel,
-    scenes: RandomScenes,
-    source: int,
+    scenes: LearnedScenes,
+    generator: SceneGenerator,
     poses: Float[Tensor, "K 7"],
     config: FirstPosesConfig,
     light: LightConfig,
     rng: torch.Generator,
 ) -> Float[Tensor, "K 3 H W"]:
-    """Render a source's objects, cut to boxes that are as wrong as those of photographs."""
+    """Render a generator's objects, cut to boxes that are as wrong as those of photographs."""
     batches = []
     for pose in poses.split(_CHUNK):
-        scene = scenes.sources[source](len(pose), rng)
+        scene = generator(generator.sample_noise(len(pose), rng))
         mesh = Mesh(scene.vertices, scenes.faces, scenes.directions)
         placed, lights = model.poses(pose, scene.vertices), sample_lights(light, len(pose), rng)
         renderer = model.config.renderer

@@ -15,7 +15,7 @@ from pipeline.networks.discriminator import ViewDiscriminator
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, FullModelConfig
 from pipeline.networks.pose_coordinates import POSE_COORDINATES
-from pipeline.networks.scene_generator import LearnedScenes, RandomScenes, Scene
+from pipeline.networks.scene_generator import LearnedScenes
 from pipeline.rendering.renderer import Mesh
 from pipeline.seeding import generator, initialised
 from pipeline.training.candidates import (
@@ -132,10 +132,9 @@ class FullTrainer:
     def step(self, iteration: int) -> dict[str, Float[Tensor, ""]]:
         """Explore, record, and take one optimisation step; return the terms of the loss, on the device.
 
-        Poses are voted again and ends are told before the steps where `first_poses.again` and `ends.after` say so.
-        Every process explores for its share of the photographs and records what all of them found.
+        Ends are told before the step where `ends.after` says so. Every process explores for its share of the
+        photographs and records what all of them found.
         """
-        self._vote_again_if_due(iteration)
         self._turn_round_if_due(iteration)
         index = self.draw(iteration)
         own = share(index)
@@ -153,47 +152,24 @@ class FullTrainer:
         return {name: average(loss.detach()) for name, loss in losses.items()}
 
     def start_from(self, scenes: LearnedScenes) -> None:
-        """Learn to read the base shape's renderings, and record first poses that all seeds' ones vote for."""
-        warm_up(self.model, scenes.generators[0], self.config.warm_up, self.rng)
-        if self.config.first_poses is not None:
-            self.vote(scenes.random(), self.config.first_poses)
+        """Learn to read the base shape's renderings; record first poses of the first photographs from all seeds' ones.
 
-    def vote(self, scenes: RandomScenes, config: FirstPosesConfig) -> None:
-        """Record poses of the first photographs that random scenes vote for, and let the pose networks learn them.
-
-        The pose networks read the poses of the others.
+        The pose networks, which learn them, read the poses of the others.
         """
-        photographs, light = self.photographs.images, self.config.warm_up.light
-        images = photographs[: config.photographs]
-        poses = first_poses(self.model, scenes, self.extractor, images, config, light, self.rng)
+        config, first = self.config, self.config.first_poses
+        warm_up(self.model, scenes.generators[0], config.warm_up, self.rng)
+        if first is None:
+            return
+        photographs = self.photographs.images
+        images = photographs[: first.photographs]
+        poses = first_poses(self.model, scenes, self.extractor, images, first, config.warm_up.light, self.rng)
         agree([poses])
-        self._learn(torch.arange(len(poses), device=poses.device), poses)
+        index = torch.arange(len(poses), device=poses.device)
+        learn_poses(self.model, photographs, index, poses, config.lessons, self.rng)
         if len(poses) < len(photographs):
             poses = torch.cat([poses, read_poses(self.model, photographs, len(poses))])
             agree([poses])
         self.record = Record(poses, self.record.shape)
-
-    def _vote_again_if_due(self, done: int) -> None:
-        config = self.config.first_poses
-        if config is None or not self.config.model.two_stage:
-            return
-        if done in (int(part * self.config.iterations) for part in config.again):
-            self.vote(RandomScenes([self._draw_scenes], self.model.faces, self.model.directions), config)
-
-    @torch.no_grad()
-    def _draw_scenes(self, count: int, rng: torch.Generator) -> Scene:
-        """Draw what the model makes of random photographs: recorded shapes, textures, and backgrounds of others."""
-        model, photographs = self.model, self.photographs.images
-        index = torch.randint(len(photographs), (2, count), generator=rng, device=rng.device)
-        objects, others = (photographs[rows].float() / 255 for rows in index)
-        model.eval()
-        scenes = Scene(
-            model.shapes(self.record.shape[index[0]]),
-            model.texture_decoder(model.texture_encoder(objects)),
-            model.background_decoder(model.background_encoder(others)),
-        )
-        model.train()
-        return scenes
 
     def turn_round(self, config: EndsConfig) -> None:
         """Turn recorded poses of photographs that show the opposite ends, and let the pose networks learn them.

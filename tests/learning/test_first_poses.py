@@ -7,7 +7,6 @@ import pytest
 import torch
 from torch import Tensor
 
-from pipeline.errors import ConfigError
 from pipeline.seeding import generator
 from pipeline.training.azimuths import ConsensusConfig
 from pipeline.training.first_poses import FirstPosesConfig, count_votes, cut_to_box, first_poses
@@ -23,7 +22,6 @@ CONFIG = FirstPosesConfig(
     concentration=20.0,
     consensus=ConsensusConfig(3, 0.4, 64, 0.3, 0.3, 5, 3.0),
     photographs=300,
-    again=(),
 )
 
 
@@ -36,12 +34,6 @@ def test_votes_follow_the_nearest_and_forgive_hubs() -> None:
     directions = votes @ torch.stack([turns.cos(), turns.sin()], 1)
     expected = torch.stack([truth.cos(), truth.sin()], 1)
     assert torch.cosine_similarity(directions, expected).min() > math.cos(0.3)
-
-
-@pytest.mark.parametrize("part", [0.0, 1.0])
-def test_votes_outside_of_the_training_are_refused(part: float) -> None:
-    with pytest.raises(ConfigError, match="expected parts of the training, above 0 and below 1"):
-        replace(CONFIG, again=(0.5, part))
 
 
 def test_objects_are_cut_to_the_middle_at_one_size() -> None:
@@ -66,7 +58,7 @@ def test_votes_find_the_axis_and_their_consensus_the_front() -> None:
 
     def cosines(rounds: int) -> Tensor:
         config = replace(CONFIG, consensus=replace(CONFIG.consensus, rounds=rounds))
-        poses = first_poses(model, scenes.random(), extractor, images, config, warm_up_config.light, generator(1))
+        poses = first_poses(model, scenes, extractor, images, config, warm_up_config.light, generator(1))
         assert poses.shape == coordinates.shape
         return (poses[:, :2] * coordinates[:, :2]).sum(dim=1)
 

@@ -12,9 +12,8 @@ from pipeline.datasets.images import load_images, place_images
 from pipeline.errors import TrainingDiverged
 from pipeline.evaluation.shape import proportions
 from pipeline.networks.feature_extractor import extract
-from pipeline.networks.full_model import FullModel, Reconstruction
+from pipeline.networks.full_model import Reconstruction
 from pipeline.networks.pose_coordinates import PoseRange
-from pipeline.networks.scene_generator import RandomScenes, Scene
 from pipeline.seeding import generator
 from pipeline.training.candidates import flipped
 from pipeline.training.checkpoint import Checkpoint
@@ -218,32 +217,6 @@ def test_photographs_beyond_the_first_start_from_poses_that_the_networks_read(tm
     read = read_poses(trainer.model, images)
     torch.testing.assert_close(trainer.record.pose[6:], read[6:])
     assert not torch.isclose(trainer.record.pose[:6], read[:6]).all(dim=1).any()
-
-
-def test_the_models_own_objects_vote_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    images, truth = photographs(8)
-    trainer = FullTrainer(TRAINING, Photographs(images, tiny_extractor(), 4, MEMORY), tiny_extractor(), base_mesh(), 0)
-    high = torch.zeros_like(trainer.record.shape)
-    high[:, -2] = 2.0
-    trainer.record.shape.copy_(high)
-    seen: list[Scene] = []
-
-    def vote(_model: FullModel, scenes: RandomScenes, *_others: object) -> Tensor:
-        seen.extend(draw(5, generator(3)) for draw in scenes.sources)
-        return truth
-
-    monkeypatch.setattr("pipeline.training.full_trainer.first_poses", vote)
-    for iteration in range(TRAINING.iterations):
-        trainer.step(iteration)
-        assert len(seen) == (iteration >= 2)
-    (scene,) = seen
-    index, others = torch.randint(8, (2, 5), generator=generator(3))
-    assert scene.vertices.shape[0] == 5
-    height = scene.vertices[..., 1].amax(1) - scene.vertices[..., 1].amin(1)
-    base_height = trainer.model.base_vertices[:, 1].max() - trainer.model.base_vertices[:, 1].min()
-    assert height.median() > 1.4 * base_height  # exploration may have replaced a few
-    assert len(scene.texture_maps.flatten(1).unique(dim=0)) == len(index.unique())
-    assert len(scene.backgrounds.flatten(1).unique(dim=0)) == len(others.unique())
 
 
 @pytest.mark.slow
