@@ -9,11 +9,10 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 import numpy as np
-import torch
 from jaxtyping import Bool, Float, UInt8
 
 from pipeline.datasets.images import load_images
-from pipeline.export.picture import enlarge, tile, write_png
+from pipeline.export.picture import enlarge, sheet, write_png
 from pipeline.files import read_json, write_json
 
 REAL_NAMES = {"aeroplane": "airplane", "car": "automobile", "horse": "horse"}
@@ -87,7 +86,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--figure", type=Path, required=True)
     arguments = parser.parse_args()
-    figures, rows = {}, []
+    figures, rows = {}, {}
     for category in read_json(arguments.truth / "index.json"):
         pictures = np.load(arguments.toybox / "test" / f"{category}.npy")
         with np.load(arguments.truth / "test" / f"{category}.npz") as truth:
@@ -96,9 +95,10 @@ def main() -> None:
         if arguments.photographs and category in REAL_NAMES:
             photographs = np.load(arguments.photographs / "test" / f"{REAL_NAMES[category]}.npy")
             figures[category]["photographs"] = statistics(photographs)
-        rows.append(load_images(arguments.toybox / "test" / f"{category}.npy")[:48].unflatten(0, (3, 16)))
+        shown = load_images(arguments.toybox / "test" / f"{category}.npy")[:48].float() / 255
+        rows |= {f"{category}, row {number}": enlarge(row, 2) for number, row in enumerate(shown.split(16), 1)}
     write_json(arguments.out, figures)
-    write_png(arguments.figure, tile(enlarge(torch.cat(rows).float() / 255, 2), gap=2, shade=1.0))
+    write_png(arguments.figure, sheet(rows))
 
 
 if __name__ == "__main__":
