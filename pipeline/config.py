@@ -6,11 +6,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import yaml
 
 from pipeline.errors import ConfigError
+from pipeline.ranges import Range
 
 Config = TypeVar("Config")
 
@@ -28,10 +29,11 @@ def load(path: Path, config_class: type[Config], sections: Sequence[str]) -> Con
 
     Sections are dotted keys such as `sizes.laptop.train_full`. They are merged from left to right: a later section
     replaces the values it names, at any depth, and keeps the others. Fields may be bool, int, float, str, `Literal`,
-    tuples of those, another dataclass, or any of these `| None`. Nothing has a default: every field must be given.
+    numbers within a `Range`, tuples of those, another dataclass, or any of these `| None`. Nothing has a default:
+    every field must be given.
 
     Raises ConfigError for a section or key that does not exist (with the nearest one that does), for a missing key
-    and for a value of the wrong type.
+    and for a value of the wrong type or out of range.
     """
     document = _read(path)
     merged: dict[str, Any] = {}
@@ -93,7 +95,7 @@ def _merge(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
 
 
 def _build(config_class: type[Config], values: dict[str, Any], section: str, path: Path) -> Config:
-    hints = get_type_hints(config_class)
+    hints = get_type_hints(config_class, include_extras=True)
     names = [field.name for field in fields(config_class)]  # pyright: ignore[reportArgumentType]
     for name, value in values.items():
         if name not in names:
@@ -118,6 +120,9 @@ def _convert(hint: Any, value: Any, section: str, path: Path) -> Any:
 
 
 def _fits(hint: Any, value: Any) -> bool:
+    if get_origin(hint) is Annotated:
+        kind, bounds = _bounded(hint)
+        return _fits(kind, value) and value in bounds
     if get_origin(hint) is Literal:
         return any(value == option and type(value) is type(option) for option in get_args(hint))
     if get_origin(hint) is tuple:
@@ -132,9 +137,17 @@ def _fits(hint: Any, value: Any) -> bool:
 
 
 def _cast(hint: Any, value: Any) -> Any:
+    if get_origin(hint) is Annotated:
+        return _cast(_bounded(hint)[0], value)
     if get_origin(hint) is tuple:
         return tuple(_cast(item, inner) for item, inner in zip(_items(hint, value), value, strict=True))
     return float(value) if hint is float else value
+
+
+def _bounded(hint: Any) -> tuple[Any, Range]:
+    """Take an annotated number apart."""
+    kind, bounds = get_args(hint)
+    return kind, bounds
 
 
 def _items(hint: Any, value: list[Any]) -> list[Any]:
@@ -159,10 +172,13 @@ def nearest(name: str, candidates: Iterable[str], prefix: str = "") -> str:
 def _describe(hint: Any) -> str:
     if get_origin(hint) is Literal:
         return "one of " + ", ".join(map(repr, get_args(hint)))
+    if get_origin(hint) is Annotated:
+        kind, bounds = _bounded(hint)
+        return f"{_describe(kind)}, {bounds}"
     if get_origin(hint) is tuple:
         items = get_args(hint)
         counted = "any number of" if items[1:] == (Ellipsis,) else str(len(items))
-        return f"a list of {counted} {_describe(items[0])} values"
+        return f"a list of {counted} items, each {_describe(items[0])}"
     if get_origin(hint) in (Union, UnionType):
         return " or ".join("null" if option is NoneType else _describe(option) for option in get_args(hint))
     if is_dataclass(hint) and isinstance(hint, type):

@@ -43,7 +43,7 @@ def _keep_freed_memory() -> None:
     """Let this process use the memory again that its main thread frees, where its C library is glibc.
 
     Otherwise every large tensor is memory that the system has just cleared, page by page: a fifth of a training step
-    (docs/decisions.md). The system gets it back when the process ends.
+    (docs/decisions/speed.md). The system gets it back when the process ends.
     """
     if platform.libc_ver()[0] == "glibc":
         libc = ctypes.CDLL(None)
@@ -54,7 +54,8 @@ def _keep_freed_memory() -> None:
 def resolve_precision(name: Any, device: torch.device) -> torch.dtype:
     """Turn `float32`, `bfloat16` or `auto` (bfloat16 where the device multiplies it faster) into a type of numbers.
 
-    GPUs since Ampere do, and CPUs with AVX512-BF16 or AMX; others are many times slower with it (docs/decisions.md).
+    GPUs since Ampere do, and CPUs with AVX512-BF16 or AMX; others are many times slower with it
+    (docs/decisions/features.md).
     Raises ConfigError for any other name.
     """
     if name not in ("auto", "float32", "bfloat16"):

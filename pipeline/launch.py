@@ -49,7 +49,7 @@ def resolve_processes(processes: object, device: torch.device, parts: int) -> in
 
     `auto` is one for each GPU, or for as many of them as are a power of two, by which batches divide. On a CPU two
     processes pay where the work has independent `parts`, such as seeds; a shared batch is faster on the threads of one
-    (docs/decisions.md).
+    (docs/decisions/processes.md).
     Raises ConfigError for anything else.
     """
     if processes == "auto":

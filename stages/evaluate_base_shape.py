@@ -13,6 +13,7 @@ from pipeline.export.picture import sheet, write_png
 from pipeline.export.views import SEED_AZIMUTHS, ViewConfig, on_white, render_clay
 from pipeline.files import load_tensors, write_json
 from pipeline.geometry.camera import CameraConfig
+from pipeline.ranges import Count
 from stages.command_line import parse, run
 
 
@@ -20,7 +21,7 @@ from stages.command_line import parse, run
 class EvaluateBaseShapeConfig:
     """How base shapes are compared and shown."""
 
-    voxel_resolution: int
+    voxel_resolution: Count
     """Voxels along each side of the unit cube."""
     camera: CameraConfig
     view: ViewConfig

@@ -13,6 +13,7 @@ from ruamel.yaml.comments import CommentedMap
 from pipeline.config import load, nearest, scalar
 from pipeline.datasets.pascal3d import has_annotations
 from pipeline.datasets.posed_folder import has_table
+from pipeline.datasets.prepared import is_plain
 from pipeline.datasets.toybox.toybox import CATEGORIES
 from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
@@ -198,8 +199,7 @@ def _require_embedded(category: str, source: Path | None) -> None:
 
 
 def _require_plain(option: str, name: str) -> None:
-    """Names become parts of commands, of keys of params.yaml and of files."""
-    if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
+    if not is_plain(name):
         raise ConfigError(f"{option}={name!r} has other characters than letters, digits, _ and -; use those alone")
 
 

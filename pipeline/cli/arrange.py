@@ -1,7 +1,6 @@
 """Bring a folder of photographs into the form that the pipeline learns from."""
 
 import io
-import re
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -14,6 +13,7 @@ from tqdm import tqdm
 from pipeline.cli.photographs import find_photographs
 from pipeline.datasets.decoding import reading
 from pipeline.datasets.folder import ENDINGS
+from pipeline.datasets.prepared import is_plain
 from pipeline.errors import DataError
 from pipeline.files import atomic_path
 
@@ -43,7 +43,7 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
     is 1024 px or their short side `least_side`. Those that cannot be read, or whose short side is below `least_side`
     pixels, are left out. Raises DataError where nothing can be written, and where fewer than two photographs are left.
     """
-    if not re.fullmatch(r"[A-Za-z0-9_-]+", category):
+    if not is_plain(category):
         raise DataError(f"the category is '{category}'; expected a name of letters, digits, _ and - (a to z)")
     if not folder.is_dir():
         raise DataError(f"{folder} is no folder; give one of photographs of one category")

@@ -11,6 +11,7 @@ from pipeline.datasets.archives import read_tree
 from pipeline.datasets.decoding import Fit, decode
 from pipeline.datasets.prepared import SPLITS, Picture
 from pipeline.errors import DataError
+from pipeline.ranges import Count
 
 ENDINGS = {".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff"}
 
@@ -24,7 +25,7 @@ class FolderConfig:
         fit: how a picture becomes square: `crop` fits its short side, `pad` its long side.
     """
 
-    size: int
+    size: Count
     fit: Fit
 
 

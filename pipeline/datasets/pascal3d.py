@@ -20,6 +20,7 @@ from pipeline.datasets.folder import ENDINGS
 from pipeline.datasets.prepared import SPLITS, Dataset
 from pipeline.datasets.truth import Viewpoints, viewpoints_of_boxes
 from pipeline.errors import DataError
+from pipeline.ranges import Count
 
 ANNOTATIONS = "Annotations/*_pascal/*.mat"
 VOC_LISTS = {"train": "VOC2012/ImageSets/Main/train.txt", "test": "VOC2012/ImageSets/Main/val.txt"}
@@ -34,7 +35,7 @@ class Pascal3dConfig:
         categories: names of those that are read.
     """
 
-    size: int
+    size: Count
     categories: tuple[str, ...]
 
 

@@ -37,8 +37,6 @@ def read_viewpoints(path: Path, names: Names) -> Truth:
 
 def has_table(path: Path) -> bool:
     """Whether a folder or an archive holds viewpoints of its pictures."""
-    if path.is_dir():
-        return (path / TABLE).is_file()
     return any(True for _ in read_tree(path, _is_table))
 
 

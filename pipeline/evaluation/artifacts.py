@@ -10,7 +10,9 @@ from torch import Tensor
 
 from pipeline.datasets.images import load_images
 from pipeline.files import load_tensors, read_json
-from pipeline.geometry.camera import Pose, pose_from_tensor
+from pipeline.geometry.camera import Pose, fill_picture, pose_from_tensor
+from pipeline.networks.pose_coordinates import Framing
+from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
 STAGES = ("predicted", "tuned")
 
@@ -77,6 +79,18 @@ def load_reconstructions(path: Path) -> Reconstructions:
 
     shared = (tensors[name] for name in ("textures", "faces", "directions", "test_index"))
     return Reconstructions(at("predicted"), at("tuned"), *shared)
+
+
+@torch.no_grad()
+def render_tuned(
+    found: Reconstructions, index: slice | Int[Tensor, " K"], pose: Pose, framing: Framing, renderer: RendererConfig
+) -> Float[Tensor, "K 3 H W"]:
+    """Render fine-tuned objects from given poses over their backgrounds; framed by box, they fill each picture."""
+    mesh = Mesh(found.tuned.vertices[index], found.faces, found.directions)
+    if framing == "box":
+        pose = fill_picture(mesh.vertices, pose, renderer.camera)
+    images = render(mesh, found.textures[index], pose, found.tuned.backgrounds[index], None, renderer).images
+    return images.clamp(0, 1)
 
 
 def load_photographs(path: Path, index: Int[Tensor, " B"]) -> Float[Tensor, "B 3 H W"]:

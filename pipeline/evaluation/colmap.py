@@ -14,6 +14,7 @@ from torch.nn import functional
 
 from pipeline.errors import UserError
 from pipeline.evaluation.statistics import Figure, mean_figure
+from pipeline.ranges import Count, Natural
 
 PREFIX = re.compile(r"^([IWEF])\d{8} [\d:.]+ +\d+ (\S+\]) (.*)$")
 """What COLMAP's log puts before a message: level, date, time, thread; then where in its source."""
@@ -31,9 +32,9 @@ class ColmapConfig:
         enlargement: factor on the photographs' size, bicubic; the paper names none.
     """
 
-    seed: int
-    photographs: int
-    enlargement: int
+    seed: Natural
+    photographs: Count
+    enlargement: Count
 
 
 def run_colmap(images: UInt8[Tensor, "N 3 H W"], config: ColmapConfig, folder: Path) -> tuple[dict[str, Any], str]:

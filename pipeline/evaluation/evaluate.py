@@ -20,6 +20,7 @@ from pipeline.evaluation.shape_metrics import ShapeMetricsConfig, TrueShapes, si
 from pipeline.evaluation.statistics import Figure, mean_figure
 from pipeline.geometry.camera import Pose
 from pipeline.networks.feature_extractor import FeatureExtractor
+from pipeline.ranges import Count, Natural
 from pipeline.rendering.renderer import RendererConfig
 from pipeline.seeding import generator
 
@@ -38,10 +39,10 @@ class EvaluateConfig:
         multiview: how consistent objects are from all around.
     """
 
-    seed: int
+    seed: Natural
     shape: ShapeMetricsConfig
-    chance_draws: int
-    batch_size: int
+    chance_draws: Count
+    batch_size: Count
     multiview: MultiviewConfig
 
 

@@ -1,12 +1,12 @@
 """Multi-view consistency: whether an object, seen from commanded azimuths, stays one object and turns as commanded.
 
-The same protocol serves every method that can draw its objects from any side (docs/decisions.md, "Baselines").
+The same protocol serves every method that can draw its objects from any side (docs/decisions/baselines.md).
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import torch
 from jaxtyping import Float
@@ -15,14 +15,14 @@ from torch.nn import functional
 
 from pipeline.errors import DataError
 from pipeline.evaluation.alignment import fit_alignment
-from pipeline.evaluation.artifacts import Reconstructions
+from pipeline.evaluation.artifacts import Reconstructions, render_tuned
 from pipeline.evaluation.pose import ACCURATE
 from pipeline.evaluation.statistics import mean_figure
-from pipeline.geometry.camera import Pose, fill_picture
+from pipeline.geometry.camera import Pose
 from pipeline.losses.image_distance import feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel
-from pipeline.rendering.renderer import Mesh, render
+from pipeline.ranges import Count, Elevation, NonNegative, Range
 
 GRID = 4
 Figures = dict[str, Any]
@@ -40,11 +40,11 @@ class MultiviewConfig:
         examples: objects in the picture of a baseline's views.
     """
 
-    objects: int
-    step: int
-    elevation: float
-    ridge: float
-    examples: int
+    objects: Count
+    step: Annotated[int, Range(1, 359)]
+    elevation: Elevation
+    ridge: NonNegative
+    examples: Count
 
     def azimuths(self) -> Float[Tensor, " K"]:
         """List the commanded azimuths in radians."""
@@ -60,20 +60,13 @@ def evaluate_views(
     return figures | {"own_network": student_figures(views, model, config)}
 
 
-@torch.no_grad()
 def render_views(found: Reconstructions, model: FullModel, config: MultiviewConfig) -> Float[Tensor, "B K 3 H W"]:
     """Render fine-tuned objects where they are in their photographs, with their backgrounds, from all azimuths."""
-    chosen, renderer = slice(config.objects), model.config.renderer
+    chosen, settings = slice(config.objects), model.config
     pose = found.tuned.pose.at(chosen)
     pose = pose._replace(elevation=torch.full_like(pose.elevation, math.radians(config.elevation)))
-    mesh = Mesh(found.tuned.vertices[chosen], found.faces, found.directions)
-    backgrounds = found.tuned.backgrounds[chosen]
-    views = []
-    for azimuth in config.azimuths():
-        turned = pose._replace(azimuth=azimuth.expand_as(pose.azimuth))
-        if model.config.framing == "box":
-            turned = fill_picture(mesh.vertices, turned, renderer.camera)
-        views.append(render(mesh, found.textures[chosen], turned, backgrounds, None, renderer).images.clamp(0, 1))
+    poses = (pose._replace(azimuth=azimuth.expand_as(pose.azimuth)) for azimuth in config.azimuths())
+    views = [render_tuned(found, chosen, turned, settings.framing, settings.renderer) for turned in poses]
     return torch.stack(views, dim=1)
 
 

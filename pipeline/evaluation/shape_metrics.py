@@ -12,6 +12,7 @@ from pipeline.evaluation.shape import chamfer_l1, iou, proportions, sample_outer
 from pipeline.evaluation.statistics import Figure, correlation_figure, mean_figure
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.voxels import voxelize
+from pipeline.ranges import Count
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
 Columns = dict[str, Tensor]
@@ -26,8 +27,8 @@ class ShapeMetricsConfig:
         surface_points: points drawn from each surface for the Chamfer distance.
     """
 
-    voxel_resolution: int
-    surface_points: int
+    voxel_resolution: Count
+    surface_points: Count
 
 
 class TrueShapes:

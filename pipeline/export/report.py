@@ -21,6 +21,7 @@ from pipeline.export.views import ViewConfig, on_white
 from pipeline.files import atomic_path
 from pipeline.geometry.camera import CameraConfig
 from pipeline.networks.pose_coordinates import Framing
+from pipeline.ranges import Count, Natural
 from pipeline.seeding import generator
 
 
@@ -37,10 +38,10 @@ class ReportConfig:
         view: size and elevation of renderings.
     """
 
-    seed: int
-    examples: int
-    stepped: int
-    frames: int
+    seed: Natural
+    examples: Count
+    stepped: Natural
+    frames: Count
     other_view: float
     view: ViewConfig
 

@@ -6,14 +6,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from pipeline.evaluation.artifacts import Reconstructions
+from pipeline.evaluation.artifacts import Reconstructions, render_tuned
 from pipeline.export.picture import data_uri, strip
 from pipeline.export.report_page import Section, card, four, grid, image
 from pipeline.export.viewer import turn_link
 from pipeline.export.views import SEED_AZIMUTHS, ViewConfig, render_clay, render_textured
-from pipeline.geometry.camera import CameraConfig, fill_picture
+from pipeline.geometry.camera import CameraConfig
 from pipeline.networks.pose_coordinates import Framing
-from pipeline.rendering.renderer import Mesh, RendererConfig, render
+from pipeline.rendering.renderer import RendererConfig
 
 STEP_AZIMUTHS = tuple(range(0, 400, 50))
 CORNER_AZIMUTHS = (45.0, 225.0)
@@ -34,7 +34,7 @@ class Gallery:
         self.reconstructions = reconstructions
         self.elevation, self.size = view.elevation, view.size
         self._camera = camera
-        self._framing = framing
+        self._framing: Framing = framing
         self._view = view
 
     def seed_views(self, seeds: Float[Tensor, "S V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "S 4 4 H W"]:
@@ -68,18 +68,12 @@ class Gallery:
         found = self.reconstructions
         return render_textured(vertices, found.faces, found.directions, texture, azimuths, self._camera, self._view)
 
-    @torch.no_grad()
     def _other_view(self, index: Int[Tensor, " K"], turn: float) -> Float[Tensor, "K 3 H W"]:
-        found = self.reconstructions
-        size = self.photographs.shape[-1]
-        mesh = Mesh(found.tuned.vertices[index], found.faces, found.directions)
-        pose = found.tuned.pose.at(index)
+        pose = self.reconstructions.tuned.pose.at(index)
         pose = pose._replace(azimuth=pose.azimuth + torch.tensor(turn).deg2rad())
-        if self._framing == "box":
-            pose = fill_picture(mesh.vertices, pose, self._camera)
+        size = self.photographs.shape[-1]
         renderer = RendererConfig(camera=self._camera, size=size, supersampling=self._view.supersampling)
-        images = render(mesh, found.textures[index], pose, found.tuned.backgrounds[index], None, renderer).images
-        return images.clamp(0, 1)
+        return render_tuned(self.reconstructions, index, pose, self._framing, renderer)
 
 
 def base_shape_section(views: Float[Tensor, "S 4 4 H W"], scores: Float[Tensor, " S"]) -> Section:

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from pipeline.geometry.camera import CameraConfig, Pose
+from pipeline.ranges import Count, Elevation
 from pipeline.rendering.lighting import Light
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
@@ -28,9 +29,9 @@ class ViewConfig:
         elevation: height angle of the camera in degrees.
     """
 
-    size: int
-    supersampling: int
-    elevation: float
+    size: Count
+    supersampling: Count
+    elevation: Elevation
 
 
 def render_clay(

@@ -2,11 +2,13 @@
 
 from dataclasses import dataclass
 from math import radians, tan
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+
+from pipeline.ranges import Positive, Range
 
 NEAREST_DEPTH = 1e-3
 """Depth in world units below which a point counts as behind the camera."""
@@ -16,9 +18,9 @@ NEAREST_DEPTH = 1e-3
 class CameraConfig:
     """Set the camera that looks at the origin from a fixed distance."""
 
-    distance: float
+    distance: Positive
     """Distance from the camera to the origin, in world units."""
-    field_of_view: float
+    field_of_view: Annotated[float, Range(0, 180, open_low=True, open_high=True)]
     """Full opening angle of the square picture, in degrees."""
 
 

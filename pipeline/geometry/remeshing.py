@@ -13,6 +13,7 @@ from pipeline.geometry.meshlab import isotropic_remeshing
 from pipeline.geometry.sphere_map import SphereMapConfig, map_to_sphere
 from pipeline.geometry.symmetry import is_symmetric, mirror_index
 from pipeline.geometry.topology import euler_characteristic, polygon_areas
+from pipeline.ranges import Count, Positive, Slant
 
 # Share of the squared diagonal below which there is no surface to speak of; a sphere has about 1.
 SMALLEST_AREA = 1e-4
@@ -33,15 +34,15 @@ class MappedMesh(NamedTuple):
 class IsotropicConfig:
     """Settings of pymeshlab's isotropic explicit remeshing."""
 
-    target_faces: int
+    target_faces: Count
     """Number of faces to aim at; the result is within some percent."""
-    attempts: int
+    attempts: Count
     """Trials of the edge length; the one nearest to the target is kept."""
-    iterations: int
+    iterations: Count
     """Rounds of splitting, collapsing, flipping, relaxing and projecting back."""
-    feature_angle: float
+    feature_angle: Slant
     """Edges bent more than this are kept, in degrees: tips of limbs would wear off otherwise."""
-    surface_tolerance: float
+    surface_tolerance: Positive
     """Largest deviation that a step may cause, in percent of the bounding box's diagonal."""
 
 

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from pipeline.errors import MeshError
 from pipeline.geometry.topology import polygon_areas
+from pipeline.ranges import Count, NonNegative
 
 # Areas vanish below single precision in the first embedding of a long limb; their logarithms must not.
 SMALLEST_RATIO = 1e-12
@@ -20,9 +21,9 @@ UNFOLDING_ROUNDS = 100
 class SphereMapConfig:
     """How areas are evened out."""
 
-    iterations: int
+    iterations: Count
     """Number of embeddings, each correcting the areas of the one before, at least 1."""
-    correction: float
+    correction: NonNegative
     """Power of the area ratio by which springs are stiffened in an iteration: 0 leaves a plain Tutte embedding."""
 
 

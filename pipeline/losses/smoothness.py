@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pipeline.geometry.topology import Topology
+from pipeline.ranges import NonNegative
 
 # Products of four lengths; far below those of a polygon in the unit cube, so only collapsed polygons feel it.
 COLLAPSED = 1e-16
@@ -16,17 +17,17 @@ COLLAPSED = 1e-16
 class SmoothnessConfig:
     """Weights of the four terms and tolerances of the hinged ones, for shapes in the unit cube."""
 
-    laplacian_squared_weight: float
+    laplacian_squared_weight: NonNegative
     """lambda_g2: sum over vertices of the squared norm of the Laplacian."""
-    laplacian_hinge_weight: float
+    laplacian_hinge_weight: NonNegative
     """lambda_g1: squared excess of the sum of norms over the tolerance."""
-    laplacian_tolerance: float
+    laplacian_tolerance: NonNegative
     """t_l: sum over vertices of the norm of the Laplacian that goes unpunished, in world units."""
-    angle_squared_weight: float
+    angle_squared_weight: NonNegative
     """lambda_a2: sum over edges of the squared angle between normals."""
-    angle_hinge_weight: float
+    angle_hinge_weight: NonNegative
     """lambda_a1: squared excess of the sum of angles over the tolerance."""
-    angle_tolerance: float
+    angle_tolerance: NonNegative
     """t_a: sum over edges of the angle between normals that goes unpunished, in radians."""
 
 

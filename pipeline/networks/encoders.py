@@ -10,6 +10,8 @@ import torch.nn.functional as functional
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from pipeline.ranges import Count
+
 NORMALIZATION_GROUPS = 8
 CODE_NORM = 2.0
 LEAST_COLOR_VARIANCE = 1e-4
@@ -25,9 +27,9 @@ class EncoderConfig:
 
     architecture: Literal["wide_resnet", "resnet18"]
     """`wide_resnet` for 32 px photographs, `resnet18` for larger ones (paper section 4.2)."""
-    width: int
+    width: Count
     """Channels of the first group of blocks; every later group doubles them. ResNet-18 has 64, WRN-d-k has 16 k."""
-    blocks: int
+    blocks: Count
     """Residual blocks in each group. ResNet-18 has 2, WRN-16-k has 2."""
 
 

@@ -22,7 +22,7 @@ class FeatureExtractor(nn.Module):
     Gradients flow to the pictures alone. The network's maps have the precision the module was moved `to`.
 
     The pictures themselves, times `color_weight`, come before the network's maps: features learned for recognition
-    alone leave colours free to drift (docs/decisions.md). The paper's distance has a weight of 0.
+    alone leave colours free to drift (docs/decisions/base-shape.md). The paper's distance has a weight of 0.
     """
 
     def __init__(self, network: Network, color_weight: float) -> None:

@@ -17,6 +17,7 @@ from pipeline.networks.generators import ImageBackgroundGenerator, StripesGenera
 from pipeline.networks.pose_coordinates import Framing, PoseCoordinates, PoseRange
 from pipeline.networks.pose_decoder import PoseDecoder, PoseRegression
 from pipeline.networks.shapes import BaseLearningConfig, FreeFormShapes, OffsetShapes, ShapeDecoder
+from pipeline.ranges import Count, NonNegative
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
 
@@ -26,13 +27,13 @@ class ShapeConfig:
 
     mirror: bool
     """Whether predicted shapes are mirror-symmetric about x = 0."""
-    grid_reach: float
+    grid_reach: NonNegative
     """Control point offset at parameter 1, in world units."""
-    dimension_reach: float
+    dimension_reach: NonNegative
     """Logarithm of a relative dimension at parameter 1."""
     base_learning: BaseLearningConfig | None
     """None keeps the base shape as it was learned, as in the paper."""
-    offset_reach: float
+    offset_reach: NonNegative
     """Vertex offset at parameter 1 in single-stage training, in world units."""
 
 
@@ -47,17 +48,17 @@ class FullModelConfig:
     encoder: EncoderConfig
     shapes_from: Literal["photographs", "features"]
     """What shapes are read off: photographs by an encoder (paper 3.2), or their feature maps by a linear layer."""
-    code_size: int
+    code_size: Count
     """Size of the codes of shape, pose and background."""
-    texture_code_size: int
+    texture_code_size: Count
     """Size of the texture code; a small one makes photographs share the paint that tells front from rear."""
-    hidden_size: int
+    hidden_size: Count
     """Hidden units of the shape decoder, of a pose head and of the background decoder's rows."""
-    pose_heads: int
+    pose_heads: Count
     """Members of the pose ensemble, the student not counted."""
     pose_range: PoseRange
-    texture_size: int
-    texture_channels: int
+    texture_size: Count
+    texture_channels: Count
     mirror_texture: bool
     stripes: bool
     """Whether backgrounds are horizontal stripes (paper 3.1.4); false lets them be any picture (paper Fig. 7d)."""

@@ -1,7 +1,7 @@
 """HoloGAN (Nguyen-Phuoc et al. 2019): pictures from noise through 3D features that are turned before they are drawn.
 
 A baseline: it learns from the same photographs, but has no shape that could be taken out. What differs from its paper
-is in docs/decisions.md, "Baselines".
+is in docs/decisions/baselines.md.
 """
 
 import json
@@ -20,6 +20,7 @@ from pipeline.device import constant
 from pipeline.errors import ConfigError
 from pipeline.files import load_tensors, save_tensors
 from pipeline.geometry.camera import rotation_from_angles
+from pipeline.ranges import Count
 
 START = 4
 VOLUME = 16
@@ -37,9 +38,9 @@ class HoloGANConfig:
         image_size: side of the pictures in pixels: 32 or 64; the paper's larger ones need its style discriminators.
     """
 
-    latent_size: int
-    width: int
-    discriminator_width: int
+    latent_size: Count
+    width: Count
+    discriminator_width: Count
     image_size: int
 
     def __post_init__(self) -> None:

@@ -21,6 +21,7 @@ from pipeline.networks.generators import (
     StripesGenerator,
     TextureGenerator,
 )
+from pipeline.ranges import Count, Positive
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,12 @@ class GeneratorConfig:
         mirror_texture: whether the texture is the same on both sides of the symmetry plane.
     """
 
-    latent_size: int
-    shape_hidden: int
-    offset_scale: float
-    texture_channels: int
-    texture_size: int
-    background_hidden: int
+    latent_size: Count
+    shape_hidden: Count
+    offset_scale: Positive
+    texture_channels: Count
+    texture_size: Count
+    background_hidden: Count
     mirror_texture: bool
 
 

@@ -12,20 +12,21 @@ from pipeline.geometry.ffd import CONTROL_POINTS, control_point_weights, deform
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.symmetry import mirror_index, symmetrize
 from pipeline.geometry.topology import laplacian_matrix
+from pipeline.ranges import NonNegative
 from pipeline.rendering.renderer import Mesh
 
 SLOPE = 0.1
 """Of the shape decoder's rectifiers where they are negative: what pushes every unit down could silence plain ones for
-ever (docs/decisions.md)."""
+ever (docs/decisions/shapes-and-hues.md)."""
 
 
 @dataclass(frozen=True)
 class BaseLearningConfig:
     """How a base shape goes on learning in full training (ours)."""
 
-    reach: float
+    reach: NonNegative
     """Vertex offset at parameter 1 all over the shape, in world units."""
-    stiffness: float
+    stiffness: NonNegative
     """How far a step at one vertex carries its neighbours along, see `compliance_matrix`."""
     mirror: bool
     """Whether offsets are mirror-symmetric about x = 0, as the base shape then has to be."""

@@ -9,7 +9,8 @@ from pipeline.geometry.camera import NEAREST_DEPTH
 from pipeline.rendering.compiled import njit, prange
 
 LANES = 16
-"""Columns that are drawn at once; fewer of them the compiler does not turn into vectors (docs/decisions.md)."""
+"""Columns that are drawn at once; fewer of them the compiler does not turn into vectors
+(docs/decisions/rendering.md)."""
 
 
 @njit()

@@ -9,6 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from pipeline.geometry.camera import CameraConfig, Pose, project
+from pipeline.ranges import Count
 from pipeline.rendering.antialias import antialias
 from pipeline.rendering.interpolate import interpolate
 from pipeline.rendering.lighting import Light, shade
@@ -21,9 +22,9 @@ class RendererConfig:
     """Set the camera and the sampling of pictures."""
 
     camera: CameraConfig
-    size: int
+    size: Count
     """Height and width of a picture, in pixels."""
-    supersampling: int
+    supersampling: Count
     """Samples along each side of a pixel."""
 
 

@@ -14,6 +14,7 @@ Azimuths are bins of the circle: row i of `N azimuths` is a photograph's distrib
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
 from jaxtyping import Float
@@ -21,8 +22,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from pipeline.distributed import divide
-from pipeline.errors import ConfigError
 from pipeline.networks.feature_extractor import FeatureExtractor
+from pipeline.ranges import Count, Natural, NonNegative, Positive, Range, Several
 
 AZIMUTHS = 72
 """Bins; an even number, so that opposite azimuths are bins too."""
@@ -49,18 +50,13 @@ class ConsensusConfig:
         sharpness: factor on standardised scores that makes them logarithms of probabilities.
     """
 
-    rounds: int
-    smaller_end: float
-    components: int
-    repainting_floor: float
-    ridge: float
-    folds: int
-    sharpness: float
-
-    def __post_init__(self) -> None:
-        """Raise ConfigError where the smaller end would be the larger one."""
-        if not 0 <= self.smaller_end <= 0.5:
-            raise ConfigError(f"consensus.smaller_end is {self.smaller_end}; expected a part from 0 to 0.5")
+    rounds: Natural
+    smaller_end: Annotated[float, Range(0, 0.5)]
+    components: Count
+    repainting_floor: NonNegative
+    ridge: NonNegative
+    folds: Several
+    sharpness: Positive
 
 
 @torch.no_grad()

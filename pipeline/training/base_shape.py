@@ -21,6 +21,7 @@ from pipeline.losses.smoothness import SmoothnessConfig, smoothness
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.pose_coordinates import Framing
 from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, Scene, SceneConfig, SceneGenerator
+from pipeline.ranges import Count, Fraction, Momentum, Natural, Positive
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, Part
@@ -48,16 +49,16 @@ class BaseShapeConfig:
         checkpoint_every: iterations between restart states.
     """
 
-    iterations: int
-    batch_size: int
-    seeds: int
-    learning_rate: float
-    betas: tuple[float, float]
-    cool_down: int
-    reconstruction_balance: float
-    colors: int
-    initial_dimensions: tuple[float, float, float]
-    subdivisions: int
+    iterations: Count
+    batch_size: Count
+    seeds: Count
+    learning_rate: Positive
+    betas: tuple[Momentum, Momentum]
+    cool_down: Natural
+    reconstruction_balance: Fraction
+    colors: Count
+    initial_dimensions: tuple[Positive, Positive, Positive]
+    subdivisions: Natural
     framing: Framing
     generator: GeneratorConfig
     constraints: ConstraintConfig
@@ -65,9 +66,9 @@ class BaseShapeConfig:
     light: LightConfig
     renderer: RendererConfig
     smoothness: SmoothnessConfig
-    score_batches: int
-    curve_every: int
-    checkpoint_every: int
+    score_batches: Count
+    curve_every: Count
+    checkpoint_every: Count
 
 
 class Sphere(NamedTuple):

@@ -6,7 +6,7 @@ that share a batch draw alike for all of its photographs and keep what belongs t
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -17,6 +17,10 @@ from pipeline.distributed import share, whole
 from pipeline.errors import ConfigError
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_decoder import PoseRegression
+from pipeline.ranges import Natural, NonNegative, Range, Slant
+
+Flips = Annotated[int, Range(0, 3)]
+"""How many flipped views of a pose are looked at: the far side, left and right swapped, front and rear swapped."""
 
 _SAME_SIDE = 90.0
 """Degrees of azimuth, either way, beyond which a pose shows the object from the far side."""
@@ -32,13 +36,13 @@ class ShapeSearchConfig:
     Sizes are those of the shape space's `draw`.
     """
 
-    random: int
+    random: Natural
     """Drawn around the base shape."""
-    perturbed: int
+    perturbed: Natural
     """Drawn around the recorded shape."""
     step: tuple[float, float]
     """Smallest and largest size of a perturbation; drawn log-uniformly."""
-    spread: float
+    spread: NonNegative
     """Of random shapes."""
 
     def __post_init__(self) -> None:
@@ -50,35 +54,34 @@ class ShapeSearchConfig:
 class ExplorationConfig:
     """How many candidates of each kind a photograph gets in one iteration, and how far they lie from its record."""
 
-    map_weights: tuple[float, ...]
+    map_weights: tuple[NonNegative, ...]
     """Weights of the pictures and of the first feature maps when candidates are compared, see `comparable`."""
-    random_poses: int
+    random_poses: Natural
     """Drawn from the whole pose range."""
-    turned_poses: int
+    turned_poses: Natural
     """The recorded pose with other azimuths, evenly spread over the circle from a random start."""
-    raised_poses: int
+    raised_poses: Natural
     """The recorded pose with other elevations, evenly spread over their range from a random start.
 
     A small picture fits about as well from a wrong elevation, by a shape that is wrong too: a search in small steps
     would leave the elevation where it was, and shapes would make up for it.
     """
-    flipped_poses: int
+    flipped_poses: Flips
     """Up to three: the recorded pose from the opposite side, with left and right, and with front and rear swapped.
 
     The outlines of such views hardly differ, so that neither gradients nor small steps lead from one to the other.
     """
-    perturbed_poses: int
+    perturbed_poses: Natural
     """Near the recorded pose."""
     shapes: ShapeSearchConfig | None
     """None searches for no shapes: the estimated one is the best, and always learns."""
     pose_step: tuple[float, float]
     """Smallest and largest standard deviation of a perturbation, in pose coordinates; drawn log-uniformly."""
-    azimuth_reach: float
+    azimuth_reach: Slant
     """Largest angle, in degrees, between the azimuths of a winner and of the record; 180 admits all."""
 
     def __post_init__(self) -> None:
-        """Raise ConfigError for more flipped poses than there are, and for a step without a size."""
-        check_flipped(self.flipped_poses)
+        """Raise ConfigError for a step without a size."""
         check_step("pose_step", self.pose_step)
 
 
@@ -86,12 +89,6 @@ def check_step(name: str, step: tuple[float, float]) -> None:
     """Raise ConfigError where the bounds of a log-uniform size are not above 0, the lower one first."""
     if not 0 < step[0] <= step[1]:
         raise ConfigError(f"{name} is {list(step)}; expected two sizes above 0, the smaller one first")
-
-
-def check_flipped(count: int) -> None:
-    """Raise ConfigError for more flipped views of a pose than there are."""
-    if not 0 <= count <= 3:
-        raise ConfigError(f"flipped_poses is {count}; expected 0 to 3")
 
 
 def refining(config: ExplorationConfig) -> ExplorationConfig:

@@ -15,6 +15,7 @@ from pipeline.datasets.images import Images, load_images, place_images
 from pipeline.distributed import agree, average, share
 from pipeline.errors import ConfigError, DataError
 from pipeline.networks.wide_resnet import WideResNet, load_wide_resnet
+from pipeline.ranges import Count, Fraction, Momentum, Natural, NonNegative, Positive
 from pipeline.seeding import generator, initialised
 from pipeline.training.augmentation import crop_and_mirror, to_float, turn
 from pipeline.training.checkpoint import Checkpoint, Part
@@ -34,27 +35,27 @@ class FeaturesConfig:
     """Tell the data set's categories apart; or (self-supervised, no label at all) by how many right angles a picture
     was turned (Gidaris et al., 2018); or keep the features of given weights and learn only a classifier on them; or
     learn nothing and take a given network of another architecture as it is."""
-    depth: int
+    depth: Count
     """Layers of the wide residual network: 6 N + 4."""
-    width: int
+    width: Count
     """Its widening factor."""
-    epochs: int
-    batch_size: int
-    learning_rate: float
+    epochs: Count
+    batch_size: Count
+    learning_rate: Positive
     """The peak of the one-cycle schedule, for this batch size."""
-    warm_up: float
+    warm_up: Fraction
     """The fraction of all iterations in which the learning rate rises, linearly, before it falls to zero."""
-    momentum: float
-    weight_decay: float
+    momentum: Momentum
+    weight_decay: NonNegative
     """On the weights of convolutions and of the classifier; normalisations and biases are free."""
-    label_smoothing: float
-    color_weight: float
+    label_smoothing: Fraction
+    color_weight: NonNegative
     """Weight of the pictures' own colours beside the network's features wherever pictures are compared."""
-    distance: float
+    distance: Positive
     """Mean distance of two photographs, summed over the feature maps, to which a `pretrained` network is scaled."""
-    crop_margin: int
+    crop_margin: Natural
     """The largest random shift, in pixels; the border is reflected."""
-    checkpoint_every: int
+    checkpoint_every: Count
     """Iterations between two restart states."""
 
 

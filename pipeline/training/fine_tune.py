@@ -13,7 +13,8 @@ from pipeline.geometry.camera import pose_to_tensor
 from pipeline.losses.image_distance import Features, feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel, Reconstruction
-from pipeline.training.candidates import check_flipped, flipped
+from pipeline.ranges import Count, Momentum, Natural, NonNegative, Positive
+from pipeline.training.candidates import Flips, flipped
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.exploration import comparable, require_maps
 
@@ -24,8 +25,8 @@ Loss = Callable[[Reconstruction], Float[Tensor, " B"]]
 class PhaseConfig:
     """One optimisation of one of the networks' outputs by Adam."""
 
-    steps: int
-    learning_rate: float
+    steps: Natural
+    learning_rate: Positive
     """In the units of the output: background code, pose coordinates, or shape parameters."""
 
 
@@ -33,21 +34,17 @@ class PhaseConfig:
 class FineTuneConfig:
     """Settings of fine-tuning; the three outputs are optimised one after the other."""
 
-    photographs: int | None
+    photographs: Count | None
     """How many photographs, from the first on; null for all."""
-    batch_size: int
-    betas: tuple[float, float]
-    map_weights: tuple[float, ...]
+    batch_size: Count
+    betas: tuple[Momentum, Momentum]
+    map_weights: tuple[NonNegative, ...]
     """Of the comparison of poses to start from, as in exploration."""
-    flipped_poses: int
+    flipped_poses: Flips
     """Flipped views of the student's pose, up to three, that may replace it as the start; so may the ensemble's."""
     background: PhaseConfig
     pose: PhaseConfig
     shape: PhaseConfig
-
-    def __post_init__(self) -> None:
-        """Raise ConfigError for more flipped poses than there are."""
-        check_flipped(self.flipped_poses)
 
 
 class Outputs:

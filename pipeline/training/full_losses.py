@@ -18,6 +18,7 @@ from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.networks.pose_decoder import PoseRegression, regression_error
 from pipeline.networks.shapes import OffsetShapes
+from pipeline.ranges import NonNegative
 from pipeline.training.candidates import Estimate
 from pipeline.training.exploration import Best
 
@@ -26,27 +27,28 @@ from pipeline.training.exploration import Best
 class LossConfig:
     """Weights of the terms; the reconstruction term's is 1."""
 
-    deepest_map: float
+    deepest_map: NonNegative
     """Of the deepest feature map among the maps of the first two terms; the paper's is 1. A network that names things
-    is against objects of rare colours there, and leaves them without (docs/decisions.md). Fine-tuning's is 1."""
-    feature_matching: float
-    pose_regression: float
-    mirrored_regression: float
+    is against objects of rare colours there, and leaves them without (docs/decisions/shapes-and-hues.md). Fine-tuning's
+    is 1."""
+    feature_matching: NonNegative
+    pose_regression: NonNegative
+    mirrored_regression: NonNegative
     """Of poses in the photographs' mirror images; known where objects are mirror-symmetric, 0 where they are not."""
-    rendered_regression: float
+    rendered_regression: NonNegative
     """Of poses in the random views that are rendered for view prior learning, which are known."""
-    shape_regression: float
+    shape_regression: NonNegative
     """Of vertices, in units of the cube; 0 where no shapes are searched for, because the estimated one is the best."""
-    rendered_shape_regression: float
+    rendered_shape_regression: NonNegative
     """The same in the random views, whose shapes are known: what a view does not show is read as it mostly is."""
-    shape_prior: float
+    shape_prior: NonNegative
     """Of estimated vertices' squared distances to the base shape's, in units of the cube (ours): what a picture does
     not show stays as it mostly is."""
-    total_variation: float
-    view_prior: float
+    total_variation: NonNegative
+    view_prior: NonNegative
     smoothness: SmoothnessConfig
     """Of single-stage training's shapes: a grid around a base shape cannot become rough (paper section 4.1.3)."""
-    base_roughness: float
+    base_roughness: NonNegative
     """Of the offsets of a base shape that goes on learning."""
 
     @property

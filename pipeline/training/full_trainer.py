@@ -8,7 +8,6 @@ from torch import Tensor
 from torch.nn import functional
 
 from pipeline.distributed import agree, average, gather, share
-from pipeline.errors import ConfigError
 from pipeline.geometry.camera import Pose
 from pipeline.losses.image_distance import Features
 from pipeline.networks.discriminator import ViewDiscriminator
@@ -16,6 +15,7 @@ from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, FullModelConfig
 from pipeline.networks.pose_coordinates import POSE_COORDINATES
 from pipeline.networks.scene_generator import LearnedScenes
+from pipeline.ranges import Count, Fraction, Momentum, Natural, Positive
 from pipeline.rendering.renderer import Mesh
 from pipeline.seeding import generator, initialised
 from pipeline.training.candidates import (
@@ -36,32 +36,31 @@ from pipeline.training.optimization import falling, set_learning_rate, take_step
 from pipeline.training.photographs import Photographs
 from pipeline.training.warm_up import WarmUpConfig, warm_up
 
+_CHUNK = 10_000
+"""Photographs whose recorded shapes are held at once."""
+
 
 @dataclass(frozen=True)
 class EllipsoidConfig:
     """The shape that single-stage training starts from (paper section 4.1.3)."""
 
-    dimensions: tuple[float, float, float]
+    dimensions: tuple[Positive, Positive, Positive]
     """Width, height and depth, up to a common factor."""
-    subdivisions: int
+    subdivisions: Natural
     """Of the icosphere."""
-
-
-_CHUNK = 10_000
-"""Photographs whose recorded shapes are held at once."""
 
 
 @dataclass(frozen=True)
 class FullTrainingConfig:
     """Settings of full training."""
 
-    iterations: int
-    batch_size: int
-    learning_rate: float
-    betas: tuple[float, float]
-    cool_down: int
+    iterations: Count
+    batch_size: Count
+    learning_rate: Positive
+    betas: tuple[Momentum, Momentum]
+    cool_down: Natural
     """The last iterations, over which the learning rate falls to zero; the paper has none."""
-    photographs_per_iteration: float
+    photographs_per_iteration: Positive
     """Iteration i draws from the first i times this many photographs; the paper's curriculum has 1."""
     model: FullModelConfig
     ellipsoid: EllipsoidConfig
@@ -73,22 +72,17 @@ class FullTrainingConfig:
     """From the first poses, from the recorded ones when ends are told apart, and from those after training."""
     ends: EndsConfig | None
     """None leaves ends as they are recorded."""
-    settle: float
+    settle: Fraction
     """The first part of the iterations, in which poses are refined, but not turned to the object's far side at once:
     textures that mean nothing yet would choose between its ends blindly, and undo what `ends` told
-    (docs/decisions.md). 1 is all of them, which leaves random, turned and flipped poses out."""
+    (docs/decisions/poses.md). 1 is all of them, which leaves random, turned and flipped poses out."""
     exploration: ExplorationConfig
     loss: LossConfig
-    discriminator_width: int
-    curve_every: int
+    discriminator_width: Count
+    curve_every: Count
     """Iterations that one row of the curve averages."""
-    checkpoint_every: int
+    checkpoint_every: Count
     """Iterations between restart states."""
-
-    def __post_init__(self) -> None:
-        """Raise ConfigError where `settle` is not a part of the training."""
-        if not 0 <= self.settle <= 1:
-            raise ConfigError(f"train_full.settle is {self.settle}; expected a part of the iterations, from 0 to 1")
 
 
 class FullTrainer:

@@ -10,6 +10,7 @@ from torch.optim import Adam
 
 from pipeline.errors import DataError
 from pipeline.networks.hologan import HoloDiscriminator, HoloGANConfig, HoloGenerator
+from pipeline.ranges import Count, Momentum, NonNegative, Positive
 from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, Part
 from pipeline.training.curves import Curve
@@ -31,16 +32,16 @@ class HoloGANTrainingConfig:
         checkpoint_every: iterations between restart states.
     """
 
-    iterations: int
-    batch_size: int
-    learning_rate: float
-    betas: tuple[float, float]
-    generator_steps: int
-    identity: float
+    iterations: Count
+    batch_size: Count
+    learning_rate: Positive
+    betas: tuple[Momentum, Momentum]
+    generator_steps: Count
+    identity: NonNegative
     network: HoloGANConfig
     viewpoint: ViewpointConfig
-    curve_every: int
-    checkpoint_every: int
+    curve_every: Count
+    checkpoint_every: Count
 
 
 class HoloGANTrainer:

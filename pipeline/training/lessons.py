@@ -16,6 +16,7 @@ from pipeline.datasets.images import Images
 from pipeline.distributed import average, share, silent
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_decoder import regression_error
+from pipeline.ranges import Count, Momentum, Natural, Positive
 from pipeline.training.checkpoint import read_losses
 from pipeline.training.optimization import falling, set_learning_rate, take_step
 
@@ -24,12 +25,12 @@ from pipeline.training.optimization import falling, set_learning_rate, take_step
 class LessonsConfig:
     """Settings of the lessons."""
 
-    iterations: int
+    iterations: Natural
     """0 leaves them out."""
-    batch_size: int
-    learning_rate: float
+    batch_size: Count
+    learning_rate: Positive
     """In the first half of the iterations; it falls to zero in the second."""
-    betas: tuple[float, float]
+    betas: tuple[Momentum, Momentum]
 
 
 def learn_poses(

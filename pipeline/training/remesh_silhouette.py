@@ -15,6 +15,7 @@ from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.remeshing import MappedMesh, check_surface
 from pipeline.geometry.symmetry import is_symmetric, mirror_index, symmetrize
 from pipeline.geometry.topology import laplacian_matrix, polygon_areas
+from pipeline.ranges import Count, Natural, NonNegative, Positive
 from pipeline.rendering.antialias import antialias
 from pipeline.rendering.rasterize import rasterize
 from pipeline.rendering.renderer import RendererConfig
@@ -26,18 +27,18 @@ GOLDEN_ANGLE = math.pi * (3 - 5**0.5)
 class SilhouetteConfig:
     """Settings of the fit."""
 
-    subdivisions: int
+    subdivisions: Natural
     """Of the icosphere that is deformed: 3 gives 1280 faces."""
-    iterations: int
-    learning_rate: float
+    iterations: Count
+    learning_rate: Positive
     """Of Adam."""
-    stiffness: float
+    stiffness: NonNegative
     """How far a step at one vertex carries its neighbours along; 0 lets single vertices grow into spikes."""
-    views: int
+    views: Count
     """Silhouettes compared in each iteration, seen from all around."""
-    area_variance_weight: float
+    area_variance_weight: NonNegative
     """Weight of the squared area variation against the mean squared difference of the silhouettes."""
-    area_weight: float
+    area_weight: NonNegative
     """Weight of the whole area of the surface."""
     renderer: RendererConfig
 

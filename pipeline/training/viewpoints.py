@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pipeline.geometry.camera import Pose
+from pipeline.ranges import NonNegative, Positive
 from pipeline.rendering.lighting import Light
 
 _QUANTILES = 1025
@@ -25,7 +26,7 @@ class AngleConfig:
 
     low: float
     high: float
-    concentration: float
+    concentration: Positive
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,8 @@ class ViewpointConfig:
 class LightConfig:
     """Ambient and directional light; a surface facing the light has the brightness of their sum."""
 
-    ambient: float
-    directional: float
+    ambient: NonNegative
+    directional: NonNegative
 
 
 def sample_angles(config: AngleConfig, count: int, rng: torch.Generator) -> Float[Tensor, " B"]:

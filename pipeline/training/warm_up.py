@@ -17,6 +17,7 @@ from pipeline.distributed import average, share, silent
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.networks.pose_decoder import regression_error
 from pipeline.networks.scene_generator import SceneGenerator
+from pipeline.ranges import Count, Momentum, Natural, NonNegative, Positive
 from pipeline.rendering.lighting import Light
 from pipeline.rendering.renderer import Mesh, render
 from pipeline.training.checkpoint import read_losses
@@ -36,14 +37,14 @@ class WarmUpConfig:
         noise: largest standard deviation of the pixel noise, so that the encoders do not rely on clean edges.
     """
 
-    iterations: int
-    batch_size: int
-    learning_rate: float
-    betas: tuple[float, float]
+    iterations: Natural
+    batch_size: Count
+    learning_rate: Positive
+    betas: tuple[Momentum, Momentum]
     light: LightConfig
-    shape_spread: float
-    paint: float
-    noise: float
+    shape_spread: NonNegative
+    paint: NonNegative
+    noise: NonNegative
 
 
 class Draw(NamedTuple):
@@ -93,7 +94,7 @@ def warm_up_loss(model: FullModel, sample: Sample) -> Float[Tensor, ""]:
 
     The picture is drawn with the true pose and shape: its error trains the texture and the background. Shapes are left
     to full training: how a small picture differs for an object's shape is learned too late to be a lesson here, and
-    until then the only answer is the base shape (docs/decisions.md).
+    until then the only answer is the base shape (docs/decisions/full-training.md).
     """
     images, pose, shape = sample
     code = model.pose_encoder(images)

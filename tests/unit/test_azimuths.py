@@ -1,13 +1,11 @@
 """Azimuths that votes agree on."""
 
 import math
-from dataclasses import replace
 
 import pytest
 import torch
 from torch import Tensor
 
-from pipeline.errors import ConfigError
 from pipeline.seeding import generator
 from pipeline.training.azimuths import (
     AZIMUTHS,
@@ -215,8 +213,3 @@ def test_votes_stay_where_there_are_no_rounds_and_repeat_for_a_seed() -> None:
     assert agree(0).shape == (12, AZIMUTHS)
     assert torch.equal(agree(2), agree(2))
     assert not torch.equal(agree(2), agree(0))
-
-
-def test_a_smaller_end_that_is_the_larger_one_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"smaller_end is 0\.6; expected a part from 0 to 0\.5"):
-        replace(CONFIG, smaller_end=0.6)

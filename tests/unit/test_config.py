@@ -8,6 +8,7 @@ import pytest
 
 from pipeline.config import load, scalar
 from pipeline.errors import ConfigError
+from pipeline.ranges import Count, Momentum, Positive
 
 
 @dataclass(frozen=True)
@@ -18,9 +19,10 @@ class Angle:
 
 @dataclass(frozen=True)
 class Stage:
-    iterations: int
-    rate: float
-    betas: tuple[float, float]
+    iterations: Count
+    rate: Positive
+    betas: tuple[Momentum, Momentum]
+    steps: tuple[int, ...]
     widths: tuple[int, ...]
     recipe: Literal["labels", "rotation"]
     smooth: bool
@@ -35,7 +37,8 @@ device: cpu
 stage:
   iterations: 10
   rate: 1.0e-4
-  betas: [0.5, 1]
+  betas: [0.5, 0]
+  steps: [-1]
   widths: [8, 16, 32]
   recipe: labels
   smooth: true
@@ -51,6 +54,10 @@ wrong:
   nested: {angle: {hihg: 3}}
   kind: {iterations: 2.5}
   truth: {iterations: true}
+  none: {iterations: 0}
+  still: {rate: 0}
+  full: {betas: [0.5, 1.0]}
+  unordered: {rate: .nan}
   exponent: {rate: 1e-4}
   choice: {recipe: label}
   length: {betas: [0.5]}
@@ -71,7 +78,7 @@ def params(tmp_path: Path) -> Path:
 def test_values_keep_their_types(params: Path) -> None:
     config = load(params, Stage, ["stage"])
     assert config.rate == 1e-4
-    assert config.betas == (0.5, 1.0)
+    assert config.betas == (0.5, 0.0)
     assert isinstance(config.betas[1], float)
     assert config.widths == (8, 16, 32)
     assert (config.recipe, config.smooth, config.note) == ("labels", True, "plain")
@@ -95,10 +102,17 @@ def test_later_sections_replace_only_what_they_name(params: Path) -> None:
         ("wrong.nested", ["unknown key 'wrong.nested.angle.hihg'", "did you mean 'high'?"]),
         ("wrong.kind", ["'wrong.kind.iterations' is 2.5", "a whole number"]),
         ("wrong.truth", ["'wrong.truth.iterations' is True", "a whole number"]),
+        ("wrong.none", ["'wrong.none.iterations' is 0; expected a whole number, at least 1"]),
+        ("wrong.still", ["'wrong.still.rate' is 0; expected a number", ", above 0"]),
+        (
+            "wrong.full",
+            ["'wrong.full.betas' is [0.5, 1.0]", "a list of 2 items, each a number", ", at least 0 and below 1"],
+        ),
+        ("wrong.unordered", ["'wrong.unordered.rate' is nan; expected a number", ", above 0"]),
         ("wrong.exponent", ["'wrong.exponent.rate' is '1e-4'", "1.0e-4"]),
         ("wrong.choice", ["'wrong.choice.recipe' is 'label'", "one of 'labels', 'rotation'"]),
         ("wrong.length", ["'wrong.length.betas' is [0.5]", "a list of 2"]),
-        ("wrong.item", ["'wrong.item.widths'", "any number of a whole number"]),
+        ("wrong.item", ["'wrong.item.widths'", "any number of items, each a whole number"]),
         ("wrong.scalar", ["'wrong.scalar.angle' is 3", "a section with low, high"]),
         ("wrong.section", ["iterations' is a section", "a whole number"]),
         ("wrong.absent", ["'wrong.absent.note' is None", "text"]),

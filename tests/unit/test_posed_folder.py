@@ -59,4 +59,6 @@ def test_a_bad_table_is_one_sentence(tmp_path: Path, content: bytes | None, mess
 def test_the_table_tells_the_kind_of_a_source(tmp_path: Path) -> None:
     assert has_table(write_folder(tmp_path / "posed", {**tree(), "poses.csv": table()}))
     assert has_table(write_tar(tmp_path / "posed.tar", {**tree(), "poses.csv": table()}))
+    deep = {f"release/{name}": content for name, content in {**tree(), "poses.csv": table()}.items()}
+    assert has_table(write_folder(tmp_path / "deep", deep))
     assert not has_table(write_folder(tmp_path / "plain", tree()))

@@ -17,6 +17,7 @@ from pipeline.datasets.truth import GroundTruth
 from pipeline.errors import ConfigError
 from pipeline.geometry.camera import CameraConfig, Pose, project, rotation_from_angles
 from pipeline.geometry.normalize import fit_unit_cube
+from pipeline.ranges import Count
 from pipeline.rendering.rasterize import rasterize
 
 SCENERY_SUPERSAMPLING = 2
@@ -32,7 +33,7 @@ class PhotographConfig:
         camera: the reference camera.
     """
 
-    size: int
+    size: Count
     supersampling: int
     camera: CameraConfig
 

@@ -23,6 +23,7 @@ from pipeline.datasets.toybox.surroundings import Setting
 from pipeline.datasets.toybox.views import ViewRange
 from pipeline.datasets.truth import GroundTruth, concatenate
 from pipeline.launch import divided_threads
+from pipeline.ranges import Count, Natural
 from pipeline.seeding import numpy_generator
 
 CHUNK = 32
@@ -59,9 +60,9 @@ class ToyboxConfig:
         photograph: size and camera.
     """
 
-    seed: int
-    train_count: int
-    test_count: int
+    seed: Natural
+    train_count: Count
+    test_count: Count
     photograph: PhotographConfig
 
 
