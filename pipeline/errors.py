@@ -1,4 +1,24 @@
-"""Errors whose message is written for the person at the terminal."""
+"""Errors whose message is written for the person at the terminal, and how they get there."""
+
+import errno
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+_OUTSIDE = {
+    errno.EACCES,
+    errno.EDQUOT,
+    errno.EEXIST,
+    errno.EISDIR,
+    errno.ENOENT,
+    errno.ENOSPC,
+    errno.ENOTDIR,
+    errno.EPERM,
+    errno.EROFS,
+}
+"""What a file system refuses for reasons that lie outside of the program."""
+_INTERRUPTED = 130
+"""Status of a program that was stopped by Ctrl-C."""
 
 
 class UserError(Exception):
@@ -31,3 +51,23 @@ class TrainingDiverged(UserError):
 
 class DeviceError(UserError):
     """Report a machine that cannot do what it was asked to: a GPU without the compiler of its kernels."""
+
+
+@contextmanager
+def in_one_sentence() -> Iterator[None]:
+    """End the program with one sentence and status 1, without a traceback, for what the user can put right.
+
+    That is any UserError, and files that cannot be read or written. Ctrl-C ends it with status 130.
+    """
+    try:
+        yield
+    except UserError as error:
+        sys.exit(f"error: {error}")
+    except OSError as error:
+        if error.errno not in _OUTSIDE:
+            raise
+        where = f"{error.filename}: " if error.filename else ""
+        sys.exit(f"error: {where}{error.strerror}; look at the path, its permissions and the space that is left")
+    except KeyboardInterrupt:
+        sys.stderr.write("stopped\n")
+        sys.exit(_INTERRUPTED)

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, get_args
 
-from pipeline.errors import UserError
+from pipeline.errors import in_one_sentence
 
 
 def parse(description: str | None, **arguments: Any) -> Namespace:
@@ -29,9 +29,8 @@ def parse(description: str | None, **arguments: Any) -> Namespace:
 
 def run(main: Callable[[], None]) -> None:
     """Run a stage; an error of the user is printed as one sentence, without a traceback, and exits with status 1."""
-    try:
-        main()
-    except UserError as error:
-        sys.exit(f"error: {error}")
-    except FileNotFoundError as error:
-        sys.exit(f"error: {error.filename} does not exist; run the stage that writes it first")
+    with in_one_sentence():
+        try:
+            main()
+        except FileNotFoundError as error:
+            sys.exit(f"error: {error.filename} does not exist; run the stage that writes it first")

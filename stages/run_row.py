@@ -1,7 +1,7 @@
 """Turn a row of the paper on in params.yaml, then run its chain to the report."""
 
+import os
 import re
-import subprocess
 import sys
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
@@ -44,7 +44,8 @@ def main() -> None:
     if options.baseline:
         stage = f"evaluate_{options.baseline}"
         turn_on_baseline(PARAMS, options.baseline, name)
-    sys.exit(subprocess.run([sys.executable, "-m", "dvc", "repro", f"{stage}@{name}"], check=False).returncode)
+    # In this process's place, so that Ctrl-C reaches DVC alone, which waits for its stage and releases its lock.
+    os.execv(sys.executable, [sys.executable, "-m", "dvc", "repro", f"{stage}@{name}"])
 
 
 def turn_on(path: Path, options: Namespace) -> str:
@@ -53,8 +54,8 @@ def turn_on(path: Path, options: Namespace) -> str:
     The name leaves out what is usual: laptop size, no ablation, seed 0, the row's own photographs. A run whose ablation
     leaves base shapes as they are shares the base shape of the run without ablation. Raises ConfigError for a row, size
     or ablation that does not exist, for names that are not plain, for a dataset whose source is not known or whose
-    pictures have another size, for features whose weights are not known, and for a run of that name that is on with
-    another row.
+    pictures have another size, for features whose weights are not known, and for a run, a base shape or features of
+    that name that are on with other settings.
     """
     for section in ("datasets", "features", "base_shapes", "runs", "rows", "sizes", "ablations"):
         scalar(path, section)
@@ -79,9 +80,12 @@ def turn_on(path: Path, options: Namespace) -> str:
     name = _name(subject, entry)
     changes_base_shape = bool(document["ablations"][options.ablation]["learn_base_shape"])
     base_shape = entry | {"ablation": options.ablation if changes_base_shape else "none"}
-    _require_same_row(document["runs"].get(name), name, options.row)
-    _put(document["base_shapes"], _name(subject, base_shape), base_shape)
-    _put(document["runs"], name, entry | {"base_shape": _name(subject, base_shape)})
+    for section, its_name, its_entry in (
+        ("base_shapes", _name(subject, base_shape), base_shape),
+        ("runs", name, entry | {"base_shape": _name(subject, base_shape)}),
+    ):
+        _require_same(document[section].get(its_name, its_entry), its_entry, f"{section}.{its_name}")
+        _put(document[section], its_name, its_entry)
     with atomic_path(path) as temporary:
         yaml.dump(document, temporary)
     return name
@@ -93,12 +97,13 @@ def _name(subject: str, entry: dict[str, Any]) -> str:
     return "-".join(unusual)
 
 
-def _require_same_row(entry: dict[str, Any] | None, name: str, row: str) -> None:
-    if entry is not None and entry["row"] != row:
-        raise ConfigError(
-            f"run '{name}' is on with row {entry['row']}, not {row}; name the same photographs differently with "
-            "DATASET= and SOURCE=, or remove the run from params.yaml"
-        )
+def _require_same(entry: dict[str, Any], wanted: dict[str, Any], key: str) -> None:
+    for name, value in wanted.items():
+        if entry[name] != value:
+            raise ConfigError(
+                f"{key} is on with {name} {entry[name]}, not {value}; name the same photographs differently with "
+                f"DATASET= and SOURCE=, or remove {key} from params.yaml"
+            )
 
 
 def turn_on_baseline(path: Path, baseline: str, run: str) -> None:
@@ -173,7 +178,9 @@ def _turn_on_features(document: CommentedMap, name: str, entry: dict[str, Any], 
     if weights is not None and not re.fullmatch(r"[\w./~+-]+", str(weights)):
         raise ConfigError(f"FEATURES={str(weights)!r} becomes part of a command; give a path without spaces and quotes")
     given = document["weights"] if weights is None else str(_existing("FEATURES", weights))
-    _put(features, name, {**entry, "weights": given})
+    entry = {**entry, "weights": given}
+    _require_same(features.get(name, entry), entry, f"features.{name}")
+    _put(features, name, entry)
 
 
 def _existing(option: str, path: Path) -> Path:

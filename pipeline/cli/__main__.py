@@ -6,16 +6,14 @@ from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
-from pipeline.errors import UserError
+from pipeline.errors import in_one_sentence
 
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run a command; an error of the user is one sentence, without a traceback, and exits with status 1."""
     arguments = _parser().parse_args(words)
-    try:
+    with in_one_sentence():
         arguments.command(arguments)
-    except UserError as error:
-        sys.exit(f"error: {error}")
 
 
 def _parser() -> ArgumentParser:
@@ -50,7 +48,7 @@ def _parser() -> ArgumentParser:
     arrange.add_argument("--out", type=Path, required=True, help="folder to write, the SOURCE of make run")
     arrange.add_argument(
         "--least-side",
-        type=int,
+        type=_positive,
         default=32,
         metavar="PIXELS",
         help="photographs whose short side is below it are left out; default: %(default)s",
@@ -77,10 +75,6 @@ def _reconstruct(arguments: Namespace) -> None:
     from pipeline.device import resolve_device
 
     run, out = find_run(arguments.project, arguments.run), arguments.out
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        sys.exit(f"error: cannot write to {out} ({error.strerror}); name another folder with --out")
     device = resolve_device(scalar(run.params, "device"))
     tasks = list_tasks(arguments.photographs, out)
     outcome = reconstruct(tasks, run, out, arguments.outputs, arguments.fine_tune, device)
@@ -99,6 +93,12 @@ def _arrange(arguments: Namespace) -> None:
         print(f"passed over: {count} files that end in '{ending}'")
     left_out = len(found.left_out)
     print(f"{found.train} for training and {found.test} for testing written to {arguments.out}, {left_out} left out")
+
+
+def _positive(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise ArgumentTypeError(f"'{text}' is no number of pixels; expected a whole number from 1")
+    return int(text)
 
 
 def _outputs(text: str) -> list[str]:

@@ -12,7 +12,7 @@ from tqdm import tqdm
 
 from pipeline.cli.photographs import find_photographs
 from pipeline.datasets.decoding import reading
-from pipeline.datasets.folder import ENDINGS
+from pipeline.datasets.folder import ENDINGS, is_hidden
 from pipeline.datasets.prepared import is_plain
 from pipeline.errors import DataError
 from pipeline.files import atomic_path
@@ -41,12 +41,15 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
 
     They are turned upright, become RGB, on white where they are transparent, and are made smaller until their long side
     is 1024 px or their short side `least_side`. Those that cannot be read, or whose short side is below `least_side`
-    pixels, are left out. Raises DataError where nothing can be written, and where fewer than two photographs are left.
+    pixels, are left out. Raises DataError for an `out` that exists or is
+    inside of the folder, and where fewer than two photographs are left.
     """
     if not is_plain(category):
         raise DataError(f"the category is '{category}'; expected a name of letters, digits, _ and - (a to z)")
     if not folder.is_dir():
         raise DataError(f"{folder} is no folder; give one of photographs of one category")
+    if folder.resolve() in out.resolve().parents:
+        raise DataError(f"{out} is inside of {folder}; name a folder outside of it")
     if out.exists():
         raise DataError(f"{out} exists; name a folder that does not")
     counts, left_out = {"train": 0, "test": 0}, []
@@ -64,7 +67,7 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
             counts[split] += 1
         if not counts["train"]:
             raise DataError(f"{folder} has {counts['test']} photographs that can be used; expected at least 2")
-    files = (path for path in folder.rglob("*") if path.is_file())
+    files = (path for path in folder.rglob("*") if path.is_file() and not is_hidden(path.relative_to(folder)))
     passed_over = Counter(path.suffix.lower() for path in files if path.suffix.lower() not in ENDINGS)
     return Arranged(counts["train"], counts["test"], left_out, passed_over)
 

@@ -15,6 +15,7 @@ from pipeline.device import resolve_device, resolve_precision
 from pipeline.errors import UserError
 
 EXTRAS = ("", "pipeline")
+INSTALL = "install it with `.venv/bin/pip install -c constraints.txt -e '.[pipeline]'`"
 
 
 class Finding(NamedTuple):
@@ -43,10 +44,12 @@ def packages() -> Iterator[Finding]:
         try:
             installed = version(requirement.name)
         except PackageNotFoundError:
-            yield Finding(False, requirement.name, "install it with `make .venv/.installed`")
+            yield Finding(False, requirement.name, INSTALL)
             continue
         right = requirement.specifier.contains(installed, prereleases=True)
-        yield Finding(right, f"{requirement.name} {installed}", "" if right else f"needs {requirement.specifier}")
+        yield Finding(
+            right, f"{requirement.name} {installed}", "" if right else f"needs {requirement.specifier}; {INSTALL}"
+        )
 
 
 def device(project: Path) -> Finding:

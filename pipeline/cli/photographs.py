@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from pipeline.datasets.folder import ENDINGS
+from pipeline.datasets.folder import ENDINGS, is_hidden
 from pipeline.errors import DataError
 
 FILES: Mapping[str, Sequence[str]] = {
@@ -33,13 +33,14 @@ class Task(NamedTuple):
 
 
 def find_photographs(folder: Path, without: Path | None = None) -> list[Path]:
-    """List the photographs below a folder by name, without those below another one.
+    """List the photographs below a folder by name, without hidden ones and those below another folder.
 
     Raises DataError where there is no folder, and where it has none.
     """
     if not folder.is_dir():
         raise DataError(f"{folder} does not exist; give the path of a photograph or of a folder of photographs")
-    images = (file for file in folder.rglob("*") if file.suffix.lower() in ENDINGS and file.is_file())
+    files = (file for file in folder.rglob("*") if not is_hidden(file.relative_to(folder)))
+    images = (file for file in files if file.suffix.lower() in ENDINGS and file.is_file())
     found = sorted(file for file in images if without is None or without not in file.resolve().parents)
     if not found:
         raise DataError(f"{folder} holds no photographs ({' '.join(sorted(ENDINGS))}); give another folder")
@@ -64,8 +65,13 @@ def list_tasks(paths: Sequence[Path], out: Path) -> list[Task]:
 
 def _tasks(path: Path, out: Path) -> Iterator[Task]:
     if path.is_file():
-        yield Task(path, out / path.stem)
+        yield Task(path, out / _plain(path.name))
         return
     inside = path.resolve() in out.resolve().parents
     for file in find_photographs(path, without=out.resolve() if inside else None):
-        yield Task(file, out / file.relative_to(path).with_suffix(""))
+        yield Task(file, (out / file.relative_to(path)).with_name(_plain(file.name)))
+
+
+def _plain(name: str) -> str:
+    """Return a file's name without its ending and without spaces, which readers of OBJ take for the end of a name."""
+    return "_".join(Path(name).stem.split())

@@ -73,6 +73,7 @@ def reconstruct(
     settings = repr([fit, report.frames, report.view, sha256(run.features), *([steps] if tuned else [])])
     way = {"model": sha256(run.model), "fine_tune": tuned, "settings": hashlib.sha256(settings.encode()).hexdigest()}
     _require_same_way(out, way)
+    write_json(out / RECORD, way)
     waiting = [task for task in tasks if not task.done(outputs)]
     extractor = load_feature_extractor(run.features, device, resolve_precision(scalar(run.params, "precision"), device))
     find = (
@@ -88,7 +89,6 @@ def reconstruct(
             if not readable:
                 continue
             found = find(images.to(device))
-            write_json(out / RECORD, way)
             for index, task in enumerate(readable):
                 _write(task, index, found, model, report, outputs)
                 progress.update()

@@ -43,7 +43,7 @@ def read_tree(path: Path, wanted: Wanted = lambda _: True) -> Iterator[Entry]:
     """Yield every wanted entry of a folder, a zip or a tar (plain, gz, bz2, xz), in the order it is stored.
 
     Raises DataError if the source is missing, truncated or damaged, or holds an entry that points outside of it: an
-    absolute path, a path with `..`, a link or a device. What is not wanted, by its path inside the tree, is not read.
+    absolute path, a path with `..`, a device, or a link (in a folder, a link to a folder; linked files are read). What is not wanted, by its path inside the tree, is not read.
     One file's content is held at a time, and besides it the names of one folder, or the table of a zip; a tar takes no
     memory that grows with its length.
     """
@@ -68,7 +68,9 @@ def _read_folder(path: Path, above: PurePosixPath, wanted: Wanted) -> Iterator[E
         entry = path / name
         if wanted(above / name):
             yield Entry(above / name, entry.read_bytes() if entry.is_file() else None)
-        if entry.is_dir() and not entry.is_symlink():
+        if entry.is_dir():
+            if entry.is_symlink():
+                raise DataError(f"{entry} is a link to a folder; copy the folder there, or name it itself")
             yield from _read_folder(entry, above / name, wanted)
 
 

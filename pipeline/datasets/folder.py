@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePath, PurePosixPath
 
 from tqdm import tqdm
 
@@ -37,9 +37,9 @@ def read_folder(path: Path, config: FolderConfig) -> Iterator[Picture]:
     """
     counts: dict[str, Counter[str]] = {split: Counter() for split in SPLITS}
     with tqdm(desc=f"reading {path.name}", unit="", disable=None) as progress:
-        for name, content in read_tree(path):
+        for name, content in read_tree(path, _is_wanted):
             parts = name.parts if content is None else name.parts[:-1]
-            if len(parts) < 2 or parts[-2] not in counts or _hidden(name):
+            if len(parts) < 2 or parts[-2] not in counts or is_hidden(name):
                 continue
             split, category = parts[-2:]
             counts[split][category] += 0
@@ -51,8 +51,14 @@ def read_folder(path: Path, config: FolderConfig) -> Iterator[Picture]:
     _require_all(path, counts)
 
 
-def _hidden(name: PurePosixPath) -> bool:
+def is_hidden(name: PurePath) -> bool:
+    """Whether a path inside a folder is of those that systems put there for themselves."""
     return any(part.startswith((".", "__MACOSX")) for part in name.parts)
+
+
+def _is_wanted(name: PurePosixPath) -> bool:
+    """Whether a file is a picture, or a folder may be a category's: an empty one is to be noticed."""
+    return name.suffix.lower() in ENDINGS or (len(name.parts) > 1 and name.parts[-2] in SPLITS)
 
 
 def _require_all(path: Path, counts: Mapping[str, Counter[str]]) -> None:

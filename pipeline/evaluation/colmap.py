@@ -103,7 +103,7 @@ def _logging_to(path: Path, pycolmap: Any) -> Iterator[None]:
 
 def _read_log(folder: Path) -> str:
     """Read the log without dates and threads."""
-    lines = "".join(path.read_text() for path in sorted(folder.glob("log*"))).splitlines()
+    lines = "".join(path.read_text(encoding="utf-8") for path in sorted(folder.glob("log*"))).splitlines()
     return "".join(PREFIX.sub(r"\1 \2 \3", line) + "\n" for line in lines)
 
 

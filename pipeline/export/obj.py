@@ -40,4 +40,4 @@ def _rows(keyword: str, values: Float[Tensor, "V C"]) -> list[str]:
 
 def _write_lines(path: Path, lines: Sequence[str]) -> None:
     with atomic_path(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", newline="\n")
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")

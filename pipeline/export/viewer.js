@@ -92,7 +92,7 @@
   }
 
   function look(azimuth, elevation) {
-    view.azimuth = THREE.MathUtils.euclideanModulo(azimuth + 180, 360) - 180;
+    view.azimuth = 180 - THREE.MathUtils.euclideanModulo(180 - azimuth, 360); // above -180, up to 180
     view.elevation = THREE.MathUtils.clamp(elevation, Number(sliders.elevation.min), Number(sliders.elevation.max));
     for (const [name, slider] of Object.entries(sliders)) {
       slider.value = view[name];
@@ -147,12 +147,17 @@
     canvas.focus({ preventScroll: true });
   });
   canvas.addEventListener('keydown', event => {
+    if (event.altKey || event.ctrlKey || event.metaKey) return; // the browser's own, such as going back
     if (event.key === 'Home') { spin(false); home(); } else if (KEYS[event.key]) turn(...KEYS[event.key]); else return;
     event.preventDefault();
   });
   // Vertical strokes of a finger scroll the page (touch-action), so touch turns the azimuth alone.
   let held = null;
-  canvas.addEventListener('pointerdown', event => { held = event; canvas.setPointerCapture(event.pointerId); });
+  canvas.addEventListener('pointerdown', event => {
+    if (event.button) return;
+    held = event;
+    canvas.setPointerCapture(event.pointerId);
+  });
   canvas.addEventListener('pointermove', event => {
     if (!held || event.pointerId !== held.pointerId) return;
     const up = event.pointerType === 'touch' ? 0 : event.clientY - held.clientY;

@@ -86,6 +86,7 @@ def test_the_azimuth_slider_goes_round_the_object_as_the_conventions_say(open_pa
     page = open_page(**STILL)
     slider(page, "azimuth").fill("180")
     numpy.testing.assert_allclose(color(seen(page), 0.5), BLUE, atol=0.03)
+    assert slider(page, "azimuth").input_value() == "180"
     slider(page, "azimuth").fill("90")  # the camera is at +x: the front, +z, is on the left
     picture = seen(page)
     numpy.testing.assert_allclose(color(picture, 0.4), ORANGE, atol=0.03)
@@ -158,13 +159,36 @@ def test_a_card_leads_to_its_mesh_and_a_shape_without_colours_is_clay(open_page:
     assert page.locator(".shown").inner_text() == "seed 0"
 
 
-def test_it_spins_until_someone_takes_over(open_page: Open) -> None:
+TAKING_OVER: dict[str, Callable[[Page], None]] = {
+    "button": lambda page: page.get_by_role("button", name="spin").click(),
+    "key": lambda page: page.locator("canvas").press("ArrowLeft"),
+    "slider": lambda page: slider(page, "elevation").fill("20"),
+    "drag": lambda page: page.locator("canvas").drag_to(page.locator("canvas"), target_position={"x": 30, "y": 30}),
+    "choice": lambda page: page.locator("a[data-exhibit=seed-1]").click(),
+}
+
+
+@pytest.mark.parametrize("way", TAKING_OVER)
+def test_it_spins_until_someone_takes_over(open_page: Open, way: str) -> None:
     page = open_page()
     page.wait_for_function("() => Math.abs(document.querySelector('[name=azimuth]').value) > 2")
-    page.get_by_role("button", name="spin").click()
+    TAKING_OVER[way](page)
     stopped = angles(page)
-    page.evaluate(NEXT_FRAMES)
+    page.wait_for_timeout(400)  # more than nine degrees of a spin
     assert angles(page) == stopped
+
+
+def test_keys_and_buttons_of_the_browser_turn_nothing(open_page: Open) -> None:
+    page = open_page(**STILL)
+    before = angles(page)
+    page.locator("canvas").press("Control+ArrowLeft")
+    box = page.locator("canvas").bounding_box()
+    assert box is not None
+    page.mouse.move(box["x"] + 50, box["y"] + 50)
+    page.mouse.down(button="right")
+    page.mouse.move(box["x"] + 150, box["y"] + 50, steps=4)
+    page.mouse.up(button="right")
+    assert angles(page) == before
 
 
 def test_nothing_moves_by_itself_where_less_motion_is_wished(open_page: Open) -> None:

@@ -93,6 +93,16 @@ def test_a_path_that_leaves_the_archive_is_refused(tmp_path: Path, name: str) ->
         contents(write_zip(tmp_path / "pictures.zip", {name: b"x"}))
 
 
+def test_a_link_to_a_folder_is_refused_and_a_linked_file_is_read(tmp_path: Path) -> None:
+    write_folder(tmp_path / "cars", {"1.jpg": b"one"})
+    (tmp_path / "tree/train").mkdir(parents=True)
+    (tmp_path / "tree/2.jpg").symlink_to(tmp_path / "cars/1.jpg")
+    assert [content for _, content in read_tree(tmp_path / "tree")] == [b"one", None]
+    (tmp_path / "tree/train/car").symlink_to(tmp_path / "cars")
+    with pytest.raises(DataError, match=r"train/car is a link to a folder; copy the folder there"):
+        list(read_tree(tmp_path / "tree"))
+
+
 def test_a_link_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"'train/car/1.jpg' is a link"):
         contents(write_tar(tmp_path / "pictures.tar", {}, {"train/car/1.jpg": "/etc/passwd"}))

@@ -23,6 +23,25 @@ def test_every_tenth_photograph_is_for_testing(tmp_path: Path) -> None:
     assert {one.category for one in pictures} == {"ship"}
 
 
+def test_hidden_files_are_no_photographs(tmp_path: Path) -> None:
+    names = ("a.jpg", "b.jpg", ".thumbnails/a.jpg", "._a.jpg", "__MACOSX/b.jpg")
+    photos = write_folder(tmp_path / "photos", {name: noise(1) for name in names} | {".DS_Store": b""})
+    assert arrange(photos, "ship", tmp_path / "mine", 32) == (1, 1, [], {})
+
+
+def test_what_is_written_lies_outside_of_the_photographs(tmp_path: Path) -> None:
+    photos = write_folder(tmp_path / "photos", {"a.jpg": noise(1), "b.jpg": noise(2)})
+    with pytest.raises(DataError, match=r"mine is inside of .*photos; name a folder outside of it"):
+        arrange(photos, "ship", photos / "mine", 32)
+
+
+def test_a_least_side_below_one_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for side in ("0", "-3", "many"):
+        with pytest.raises(SystemExit):
+            main(["arrange", str(tmp_path), "--category", "ship", "--out", "mine", f"--least-side={side}"])
+        assert f"'{side}' is no number of pixels; expected a whole number from 1" in capsys.readouterr().err
+
+
 def test_photographs_become_upright_rgb_and_not_too_large(tmp_path: Path) -> None:
     lying = Image.new("RGB", (80, 40), "red")
     lying.getexif()[0x0112] = 6  # to be turned by a quarter

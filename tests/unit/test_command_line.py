@@ -1,5 +1,6 @@
 """Stage scripts take every path as an argument and speak in sentences."""
 
+import errno
 import sys
 from pathlib import Path
 
@@ -39,3 +40,28 @@ def test_a_missing_input_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(SystemExit) as caught:
         run(lambda: (tmp_path / "car.npy").open())  # pyright: ignore[reportArgumentType]
     assert str(caught.value.code).startswith(f"error: {tmp_path / 'car.npy'} does not exist; run the stage")
+
+
+def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(SystemExit) as caught:
+        run(lambda: (tmp_path / "file/inside").mkdir())
+    assert str(caught.value.code).startswith(f"error: {tmp_path / 'file/inside'}: Not a directory; look at")
+
+
+def test_what_is_not_the_user_s_keeps_its_traceback() -> None:
+    def fail() -> None:
+        raise BrokenPipeError(errno.EPIPE, "Broken pipe")
+
+    with pytest.raises(BrokenPipeError):
+        run(fail)
+
+
+def test_an_interruption_is_no_traceback(capsys: pytest.CaptureFixture[str]) -> None:
+    def stop() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(SystemExit) as caught:
+        run(stop)
+    assert caught.value.code == 130
+    assert capsys.readouterr().err == "stopped\n"

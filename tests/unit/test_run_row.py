@@ -120,8 +120,37 @@ def test_a_second_row_for_the_same_photographs_is_refused(params: Path, tmp_path
     own = {"source": tmp_path, "dataset": "mine", "category": "cat"}
     turn_on(params, _options("toybox-horse", **own))
     before = params.read_bytes()
-    with pytest.raises(ConfigError, match="run 'mine-cat' is on with row toybox-horse, not toybox-chair;"):
+    with pytest.raises(ConfigError, match=r"base_shapes\.mine-cat is on with row toybox-horse, not toybox-chair;"):
         turn_on(params, _options("toybox-chair", **own))
+    assert params.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "difference"),
+    [
+        ({"category": "cat", "seed": 1}, {"category": "cat-seed1"}, "seed 1, not 0"),
+        ({"dataset": "my-old"}, {"dataset": "my", "category": "old-car"}, "dataset my-old, not my"),
+    ],
+)
+def test_two_runs_of_one_name_are_refused(
+    params: Path, tmp_path: Path, first: dict[str, object], second: dict[str, object], difference: str
+) -> None:
+    usual = {"source": tmp_path, "dataset": "mine", "category": "car"}
+    turn_on(params, _options("toybox-car", **{**usual, **first}))
+    before = params.read_bytes()
+    with pytest.raises(ConfigError, match=f"is on with {difference}; name the same photographs differently"):
+        turn_on(params, _options("toybox-car", **{**usual, **second}))
+    assert params.read_bytes() == before
+
+
+def test_other_weights_for_features_that_are_on_are_refused(params: Path, tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / f"{name}.npz").touch()
+    given = {"dataset": "cars", "source": tmp_path, "size": "laptop-imagenet"}
+    turn_on(params, _options("pascal-car", category="van", features=tmp_path / "a.npz", **given))
+    before = params.read_bytes()
+    with pytest.raises(ConfigError, match=r"features\.cars-laptop-imagenet is on with weights .*a\.npz, not .*b\.npz"):
+        turn_on(params, _options("pascal-car", category="bus", features=tmp_path / "b.npz", **given))
     assert params.read_bytes() == before
 
 
