@@ -157,7 +157,11 @@ def _items(hint: Any, value: list[Any]) -> list[Any]:
 
 
 def _key(value: Any, otherwise: str) -> str:
-    return value.key if isinstance(value, _Leaf) else otherwise
+    """Return where a value stands in the file; a section stands above the first of its values."""
+    depth = 0
+    while isinstance(value, dict) and value:
+        value, depth = next(iter(value.values())), depth + 1
+    return value.key.rsplit(".", depth)[0] if isinstance(value, _Leaf) else otherwise
 
 
 def nearest(name: str, candidates: Iterable[str], prefix: str = "") -> str:

@@ -52,6 +52,13 @@ def whole(count: int) -> int:
     return count * world().size
 
 
+def shared_batch(wanted: int, available: int) -> int:
+    """Return the size of a batch of what there is: as wanted, or else as much as divides among the processes."""
+    if wanted <= available:
+        return wanted
+    return available - available % world().size or available
+
+
 def share(batch: Batch, dim: int = 0) -> Batch:
     """Take this process's part of a batch along a dimension; of a named tuple, each entry's.
 

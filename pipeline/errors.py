@@ -30,7 +30,7 @@ class UserError(Exception):
 
 
 class ConfigError(UserError):
-    """Report a parameter that is unknown, missing or of the wrong type."""
+    """Report a parameter that is unknown, missing, of the wrong type or out of range."""
 
 
 class DataError(UserError):

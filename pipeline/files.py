@@ -6,13 +6,15 @@ import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from pipeline.errors import DataError
+
+Entry = TypeVar("Entry")
 
 
 @contextmanager
@@ -69,8 +71,22 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[st
         save_file(copies, temporary, header)
 
 
+class _Entries(dict[str, Entry]):
+    """What a file holds by name; a name that it has not is an error in one sentence."""
+
+    def __init__(self, entries: Mapping[str, Entry], path: Path) -> None:
+        super().__init__(entries)
+        self.path = path
+
+    def __missing__(self, name: str) -> Entry:
+        raise DataError(f"{self.path} has no '{name}': it was written by another stage or by other code; name another")
+
+
 def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """Load what `save_tensors` saved: tensors on the CPU, and texts. Raises DataError for any other file."""
+    """Load what `save_tensors` saved: tensors on the CPU, and texts.
+
+    Raises DataError for any other file, and later for an entry that is asked for by name but is not there.
+    """
     if not path.is_file():
         raise DataError(f"{path} does not exist; run the stage that writes it first")
     try:
@@ -83,9 +99,10 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
 
 def load_weights(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) -> None:
     """Put the tensors of a file into a network. Raises DataError where some are missing or of another shape."""
+    state = network.state_dict()
     try:
-        network.load_state_dict({name: tensors[name] for name in network.state_dict()})
-    except (KeyError, RuntimeError):
+        network.load_state_dict({name: tensor for name, tensor in tensors.items() if name in state})
+    except RuntimeError:
         raise DataError(
             f"{path} holds other weights than this code's networks have; run the stage that writes it again"
         ) from None
@@ -94,7 +111,8 @@ def load_weights(network: nn.Module, tensors: Mapping[str, Tensor], path: Path) 
 def _read_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     with safe_open(path, framework="pt") as stored:
         tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118
-        return tensors, json.loads((stored.metadata() or {})["texts"])
+        texts = json.loads((stored.metadata() or {})["texts"])
+        return _Entries(tensors, path), _Entries(texts, path)
 
 
 def _files(folder: Path) -> list[Path]:

@@ -15,10 +15,10 @@ class Range:
     open_high: bool = False
 
     def __contains__(self, value: float) -> bool:
-        """Say whether a number lies inside."""
+        """Say whether a number is finite and lies inside."""
         above = self.low < value if self.open_low else self.low <= value
         below = value < self.high if self.open_high else value <= self.high
-        return above and below
+        return math.isfinite(value) and above and below
 
     def __str__(self) -> str:
         """Say what is expected, as in `a number, above 0`."""

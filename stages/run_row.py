@@ -61,6 +61,8 @@ def turn_on(path: Path, options: Namespace) -> str:
         scalar(path, section)
     yaml = round_trip_yaml()
     document = yaml.load(path)
+    for section in ("datasets", "features", "base_shapes", "runs"):
+        document[section] = document[section] or CommentedMap()  # after the only entry was removed
     for kind, name in (("rows", options.row), ("sizes", options.size), ("ablations", options.ablation)):
         _require(name, document[kind], f"{path}: {kind}")
     row = document["rows"][options.row]
@@ -155,10 +157,11 @@ def _turn_on_dataset(document: CommentedMap, name: str, source: Path | None, con
         )
     found = _picture_size(kind, settings | own)
     if found != size:
-        raise ConfigError(
-            f"pictures of '{name}' are {found} px, but this run compares {size} px; name a second dataset with "
-            "DATASET= and SOURCE="
-        )
+        remedy = "name a second dataset with DATASET= and SOURCE="
+        if kind == "toybox":
+            own = f"toybox: {{photograph: {{size: {size}}}}}"
+            remedy = f"add a dataset with `{own}` to {PARAMS}, and name it by DATASET="
+        raise ConfigError(f"pictures of '{name}' are {found} px, but this run compares {size} px; {remedy}")
     _put(datasets, name, entry)
 
 

@@ -43,9 +43,9 @@ def read_tree(path: Path, wanted: Wanted = lambda _: True) -> Iterator[Entry]:
     """Yield every wanted entry of a folder, a zip or a tar (plain, gz, bz2, xz), in the order it is stored.
 
     Raises DataError if the source is missing, truncated or damaged, or holds an entry that points outside of it: an
-    absolute path, a path with `..`, a device, or a link (in a folder, a link to a folder; linked files are read). What is not wanted, by its path inside the tree, is not read.
-    One file's content is held at a time, and besides it the names of one folder, or the table of a zip; a tar takes no
-    memory that grows with its length.
+    absolute path, a path with `..`, a device or a link; in a folder, linked files are read, linked folders refused.
+    What is not wanted, by its path inside the tree, is not read. One file's content is held at a time, and besides it
+    the names of one folder, or the table of a zip; a tar takes no memory that grows with its length.
     """
     if path.is_dir():
         yield from _read_folder(path, PurePosixPath(), wanted)

@@ -13,6 +13,7 @@ from pipeline.export.viewer import turn_link
 from pipeline.export.views import SEED_AZIMUTHS, ViewConfig, render_clay, render_textured
 from pipeline.geometry.camera import CameraConfig
 from pipeline.networks.pose_coordinates import Framing
+from pipeline.networks.scene_generator import best_seed
 from pipeline.rendering.renderer import RendererConfig
 
 STEP_AZIMUTHS = tuple(range(0, 400, 50))
@@ -82,7 +83,7 @@ def base_shape_section(views: Float[Tensor, "S 4 4 H W"], scores: Float[Tensor, 
     for seed, row in enumerate(views):
         picture = image(data_uri(strip(row)), f"base shape of seed {seed} from four sides")
         caption = f"{seed_caption(seed, scores)} · {turn_link(f'seed-{seed}')}"
-        items.append(card(picture, caption, "chosen" if seed == scores.argmin() else ""))
+        items.append(card(picture, caption, "chosen" if seed == best_seed(scores.tolist()) else ""))
     introduction = (
         "One base shape a seed, seen from the front, the front corner, the side and the rear corner. "
         "The score is the distance of fresh renderings from the photographs in feature space: no label takes part in "
@@ -93,7 +94,7 @@ def base_shape_section(views: Float[Tensor, "S 4 4 H W"], scores: Float[Tensor, 
 
 def seed_caption(seed: int, scores: Float[Tensor, " S"]) -> str:
     """Say a seed's score, and whether it was chosen, as HTML."""
-    mark = " <b>chosen</b>" if seed == scores.argmin() else ""
+    mark = " <b>chosen</b>" if seed == best_seed(scores.tolist()) else ""
     return f"seed {seed} · score {scores[seed]:.4f}{mark}"
 
 

@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from pipeline.ranges import Positive, Range
+from pipeline.ranges import Range
 
 NEAREST_DEPTH = 1e-3
 """Depth in world units below which a point counts as behind the camera."""
@@ -18,8 +18,8 @@ NEAREST_DEPTH = 1e-3
 class CameraConfig:
     """Set the camera that looks at the origin from a fixed distance."""
 
-    distance: Positive
-    """Distance from the camera to the origin, in world units."""
+    distance: Annotated[float, Range(3**0.5 / 2, open_low=True)]
+    """Distance from the camera to the origin, in world units; it stands outside of the unit cube."""
     field_of_view: Annotated[float, Range(0, 180, open_low=True, open_high=True)]
     """Full opening angle of the square picture, in degrees."""
 

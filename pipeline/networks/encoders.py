@@ -10,6 +10,7 @@ import torch.nn.functional as functional
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from pipeline.errors import ConfigError
 from pipeline.ranges import Count
 
 NORMALIZATION_GROUPS = 8
@@ -31,6 +32,11 @@ class EncoderConfig:
     """Channels of the first group of blocks; every later group doubles them. ResNet-18 has 64, WRN-d-k has 16 k."""
     blocks: Count
     """Residual blocks in each group. ResNet-18 has 2, WRN-16-k has 2."""
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError for channels that cannot be normalised in groups."""
+        if self.width % NORMALIZATION_GROUPS:
+            raise ConfigError(f"encoder.width is {self.width}; expected a multiple of {NORMALIZATION_GROUPS}")
 
 
 class EncoderBlock(nn.Module):

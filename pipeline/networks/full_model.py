@@ -17,7 +17,7 @@ from pipeline.networks.generators import ImageBackgroundGenerator, StripesGenera
 from pipeline.networks.pose_coordinates import Framing, PoseCoordinates, PoseRange
 from pipeline.networks.pose_decoder import PoseDecoder, PoseRegression
 from pipeline.networks.shapes import BaseLearningConfig, FreeFormShapes, OffsetShapes, ShapeDecoder
-from pipeline.ranges import Count, NonNegative
+from pipeline.ranges import Count, NonNegative, Positive
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
 
@@ -33,7 +33,7 @@ class ShapeConfig:
     """Logarithm of a relative dimension at parameter 1."""
     base_learning: BaseLearningConfig | None
     """None keeps the base shape as it was learned, as in the paper."""
-    offset_reach: NonNegative
+    offset_reach: Positive
     """Vertex offset at parameter 1 in single-stage training, in world units."""
 
 

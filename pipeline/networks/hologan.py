@@ -9,6 +9,7 @@ import math
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Literal
 
 import torch
 from jaxtyping import Float
@@ -17,7 +18,6 @@ from torch.nn import functional
 
 from pipeline.config import from_json
 from pipeline.device import constant
-from pipeline.errors import ConfigError
 from pipeline.files import load_tensors, save_tensors
 from pipeline.geometry.camera import rotation_from_angles
 from pipeline.ranges import Count
@@ -41,12 +41,7 @@ class HoloGANConfig:
     latent_size: Count
     width: Count
     discriminator_width: Count
-    image_size: int
-
-    def __post_init__(self) -> None:
-        """Raise ConfigError for a size that the networks cannot draw."""
-        if self.image_size not in (32, 64):
-            raise ConfigError(f"train_hologan.network.image_size is {self.image_size}; expected 32 or 64")
+    image_size: Literal[32, 64]
 
 
 class AdaptiveNormalization(nn.Module):

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from pipeline.device import constant
 from pipeline.errors import ConfigError
 from pipeline.geometry.camera import CameraConfig, Pose, place_in_picture
+from pipeline.ranges import Elevation, Positive
 
 POSE_COORDINATES = 7
 Framing = Literal["free", "box"]
@@ -21,23 +22,23 @@ Framing = Literal["free", "box"]
 class PoseRange:
     """Where the poses of a category lie: bounds of what is predicted and of what is explored."""
 
-    elevation: tuple[float, float]
+    elevation: tuple[Elevation, Elevation]
     """Degrees."""
     roll: tuple[float, float]
-    """Degrees."""
+    """Degrees, as far to either side: poses of mirror images are learned too."""
     center: tuple[float, float]
-    """Of the middle of the object's box in the picture, along x and along y, in ndc."""
-    extent: tuple[float, float]
+    """Of the middle of the object's box in the picture, along x and along y, in ndc, as far to either side."""
+    extent: tuple[Positive, Positive]
     """Longer side of the object's box over the picture's side; 1 fills the picture."""
 
     def __post_init__(self) -> None:
-        """Raise ConfigError for a range that ends below its start and for sizes that are not above 0."""
+        """Raise ConfigError for a range that ends below its start, and for a lopsided one of what is mirrored."""
         for field in fields(self):
             lowest, highest = getattr(self, field.name)
             if lowest > highest:
                 raise ConfigError(f"pose_range.{field.name} is [{lowest}, {highest}]; expected the lower bound first")
-        if self.extent[0] <= 0:
-            raise ConfigError(f"pose_range.extent is {list(self.extent)}; expected sizes above 0")
+            if field.name in ("roll", "center") and lowest != -highest:
+                raise ConfigError(f"pose_range.{field.name} is [{lowest}, {highest}]; expected as far to either side")
 
 
 class PoseCoordinates(nn.Module):

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pipeline.datasets.images import Images
 from pipeline.distributed import agree, average, divide, share, whole, world
+from pipeline.errors import DataError
 from pipeline.geometry.camera import fill_picture
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
@@ -20,7 +21,14 @@ from pipeline.losses.feature_matching import feature_matching
 from pipeline.losses.smoothness import SmoothnessConfig, smoothness
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.pose_coordinates import Framing
-from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, Scene, SceneConfig, SceneGenerator
+from pipeline.networks.scene_generator import (
+    ConstraintConfig,
+    GeneratorConfig,
+    Scene,
+    SceneConfig,
+    SceneGenerator,
+    best_seed,
+)
 from pipeline.ranges import Count, Fraction, Momentum, Natural, Positive
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 from pipeline.seeding import generator, initialised
@@ -224,8 +232,11 @@ def learn_base_shape(
 
     Photographs and their kept features may take `memory` bytes. Processes divide the seeds, each working alone, so that
     their number changes no shape as long as each has as many threads; a single seed's batches are shared. Restart
-    states live under `checkpoints`; a killed call that is repeated returns the same bytes.
+    states live under `checkpoints`; a killed call that is repeated returns the same bytes. Raises DataError for
+    a single photograph.
     """
+    if len(images) < 2:
+        raise DataError("base shapes are learned from what photographs have in common, but there is only one; add more")
     sphere = build_sphere(config.subdivisions, next(extractor.parameters()).device)
     photographs = Photographs(images, extractor, config.batch_size, memory)
     schedule = Schedule(config.iterations, config.curve_every, config.checkpoint_every)
@@ -247,7 +258,7 @@ def learn_base_shape(
 
     learned = [one for one in divide(learn, config.seeds * parts) if one is not None]
     scores = [one.score for one in learned]
-    best = min(range(config.seeds), key=scores.__getitem__)
+    best = best_seed(scores)
     curve = Curve([row for one in learned for row in one.rows])
     vertices = torch.stack([one.vertices for one in learned])
     generators = [one.generator for one in learned]

@@ -17,7 +17,7 @@ from pipeline.distributed import share, whole
 from pipeline.errors import ConfigError
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_decoder import PoseRegression
-from pipeline.ranges import Natural, NonNegative, Range, Slant
+from pipeline.ranges import Natural, NonNegative, Positive, Range, Slant
 
 Flips = Annotated[int, Range(0, 3)]
 """How many flipped views of a pose are looked at: the far side, left and right swapped, front and rear swapped."""
@@ -40,13 +40,13 @@ class ShapeSearchConfig:
     """Drawn around the base shape."""
     perturbed: Natural
     """Drawn around the recorded shape."""
-    step: tuple[float, float]
+    step: tuple[Positive, Positive]
     """Smallest and largest size of a perturbation; drawn log-uniformly."""
     spread: NonNegative
     """Of random shapes."""
 
     def __post_init__(self) -> None:
-        """Raise ConfigError for a step without a size."""
+        """Raise ConfigError for a step whose bounds are the wrong way round."""
         check_step("shapes.step", self.step)
 
 
@@ -75,20 +75,20 @@ class ExplorationConfig:
     """Near the recorded pose."""
     shapes: ShapeSearchConfig | None
     """None searches for no shapes: the estimated one is the best, and always learns."""
-    pose_step: tuple[float, float]
+    pose_step: tuple[Positive, Positive]
     """Smallest and largest standard deviation of a perturbation, in pose coordinates; drawn log-uniformly."""
     azimuth_reach: Slant
     """Largest angle, in degrees, between the azimuths of a winner and of the record; 180 admits all."""
 
     def __post_init__(self) -> None:
-        """Raise ConfigError for a step without a size."""
+        """Raise ConfigError for a step whose bounds are the wrong way round."""
         check_step("pose_step", self.pose_step)
 
 
 def check_step(name: str, step: tuple[float, float]) -> None:
-    """Raise ConfigError where the bounds of a log-uniform size are not above 0, the lower one first."""
-    if not 0 < step[0] <= step[1]:
-        raise ConfigError(f"{name} is {list(step)}; expected two sizes above 0, the smaller one first")
+    """Raise ConfigError where the bounds of a log-uniform size are the wrong way round."""
+    if step[0] > step[1]:
+        raise ConfigError(f"{name} is {list(step)}; expected the smaller size first")
 
 
 def refining(config: ExplorationConfig) -> ExplorationConfig:

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pipeline.datasets.images import Images, load_images, place_images
-from pipeline.distributed import agree, average, share
+from pipeline.distributed import agree, average, share, shared_batch
 from pipeline.errors import ConfigError, DataError
 from pipeline.networks.wide_resnet import WideResNet, load_wide_resnet
 from pipeline.ranges import Count, Fraction, Momentum, Natural, NonNegative, Positive
@@ -58,6 +58,11 @@ class FeaturesConfig:
     checkpoint_every: Count
     """Iterations between two restart states."""
 
+    def __post_init__(self) -> None:
+        """Raise ConfigError for a depth that no wide residual network has."""
+        if self.depth < 10 or self.depth % 6 != 4:
+            raise ConfigError(f"train_features.depth is {self.depth}; expected 10, 16, 22, 28 or so on")
+
 
 class Pictures(NamedTuple):
     """Hold a split of a data set: pictures of all categories, and their category's number on the device."""
@@ -97,7 +102,7 @@ class FeatureTrainer:
         """Build the network, on the pictures' device, and its optimizer; `initial` are the weights for `transfer`."""
         device = train.images.device
         self.config, self.train, self.precision, self.seed = config, train, precision, seed
-        self.batch_size = min(config.batch_size, len(train.images))
+        self.batch_size = shared_batch(config.batch_size, len(train.images))
         self.iterations_per_epoch = len(train.images) // self.batch_size
         self.iterations = config.epochs * self.iterations_per_epoch
         self.network = _build_network(config, train, initial, seed).to(device)
@@ -244,4 +249,4 @@ def _build_optimizer(config: FeaturesConfig, network: WideResNet) -> torch.optim
     decayed = [parameter for parameter in learned if parameter.ndim > 1]
     free = [parameter for parameter in learned if parameter.ndim == 1]
     groups = [{"params": decayed, "weight_decay": config.weight_decay}, {"params": free, "weight_decay": 0.0}]
-    return torch.optim.SGD(groups, lr=config.learning_rate, momentum=config.momentum, nesterov=True)
+    return torch.optim.SGD(groups, lr=config.learning_rate, momentum=config.momentum, nesterov=config.momentum > 0)

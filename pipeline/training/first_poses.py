@@ -22,7 +22,7 @@ from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_coordinates import PoseCoordinates
 from pipeline.networks.scene_generator import LearnedScenes, SceneGenerator
-from pipeline.ranges import Count, Fraction, NonNegative, Positive
+from pipeline.ranges import Fraction, NonNegative, Positive, Several
 from pipeline.rendering.renderer import Mesh, render
 from pipeline.training.azimuths import ConsensusConfig, agree_on_azimuths, bins, join_votes
 from pipeline.training.viewpoints import LightConfig, sample_lights
@@ -44,14 +44,14 @@ class FirstPosesConfig:
         photographs: how many get first poses, from the first on: each is compared with every rendering at once.
     """
 
-    renderings: Count
+    renderings: Several
     pose_reach: Fraction
     box_jitter: NonNegative
     box_size: Positive
     temperature: Positive
     concentration: Positive
     consensus: ConsensusConfig
-    photographs: Count
+    photographs: Several
 
 
 @torch.no_grad()

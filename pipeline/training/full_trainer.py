@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from pipeline.distributed import agree, average, gather, share
+from pipeline.distributed import agree, average, gather, share, shared_batch
 from pipeline.geometry.camera import Pose
 from pipeline.losses.image_distance import Features
 from pipeline.networks.discriminator import ViewDiscriminator
@@ -121,7 +121,7 @@ class FullTrainer:
         reached = int(config.photographs_per_iteration * (iteration + 1))
         among = min(count, max(config.batch_size, reached))
         order = torch.randperm(among, generator=self.rng, device=self.rng.device)
-        return order[: config.batch_size]
+        return order[: shared_batch(config.batch_size, among)]
 
     def step(self, iteration: int) -> dict[str, Float[Tensor, ""]]:
         """Explore, record, and take one optimisation step; return the terms of the loss, on the device.

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pipeline.datasets.images import Images
+from pipeline.errors import DataError
 from pipeline.losses.image_distance import feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.pretrained import PretrainedNetwork, read_pretrained
@@ -20,9 +21,11 @@ def adopt(path: Path, images: Images, distance: float, seed: int) -> PretrainedN
     """Read a network's weights and scale its maps, on the images' device.
 
     Two photographs drawn at random are then `distance` apart on average, of which each map has an equal share: networks
-    differ by orders of magnitude in the size of their features, weights of losses need not. Raises DataError where the
-    file holds no network that is known.
+    differ by orders of magnitude in the size of their features, weights of losses need not. Raises DataError for a
+    single photograph, and where the file holds no network that is known.
     """
+    if len(images) < 2:
+        raise DataError("a given network is scaled by distances of photographs, but there is only one; add more")
     network = read_pretrained(path).to(images.device)
     network.scale.copy_(distance / network.maps / mean_distances(network, images, seed))
     return network
@@ -34,7 +37,7 @@ def mean_distances(network: PretrainedNetwork, images: Images, seed: int) -> Flo
     extractor = FeatureExtractor(network, color_weight=0.0)
     order = torch.randperm(len(images), generator=generator(seed, "features", "pairs"))[:_PICTURES]
     distances = []
-    for index in order.to(images.device).split(_BATCH):
+    for index in order.to(images.device).tensor_split(-(-len(order) // _BATCH)):
         _, *maps = extractor(images[index].float() / 255)
         distances.append(torch.stack([feature_distance([layer], [layer.roll(1, dims=0)]) for layer in maps], dim=1))
     return torch.cat(distances).mean(dim=0)

@@ -7,6 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from pipeline.errors import ConfigError
 from pipeline.geometry.camera import Pose
 from pipeline.ranges import NonNegative, Positive
 from pipeline.rendering.lighting import Light
@@ -28,6 +29,11 @@ class AngleConfig:
     high: float
     concentration: Positive
 
+    def __post_init__(self) -> None:
+        """Raise ConfigError for an interval that ends below its start."""
+        if self.low > self.high:
+            raise ConfigError(f"an angle of viewpoint lies between {self.low} and {self.high}; expected low first")
+
 
 @dataclass(frozen=True)
 class ViewpointConfig:
@@ -42,6 +48,13 @@ class ViewpointConfig:
     elevation: AngleConfig
     mirrored: bool
 
+    def __post_init__(self) -> None:
+        """Raise ConfigError for elevations beyond the poles."""
+        if self.elevation.low < -90 or self.elevation.high > 90:
+            raise ConfigError(
+                f"viewpoint.elevation is {self.elevation.low} to {self.elevation.high}; expected degrees from -90 to 90"
+            )
+
 
 @dataclass(frozen=True)
 class LightConfig:
@@ -55,7 +68,7 @@ def sample_angles(config: AngleConfig, count: int, rng: torch.Generator) -> Floa
     """Draw angles in radians by inverting the tabulated cumulative distribution."""
     grid = torch.linspace(0, 1, _QUANTILES, device=rng.device)
     middle = (grid[1:] + grid[:-1]) / 2
-    density = (middle * (1 - middle)) ** (config.concentration - 1)
+    density = (4 * middle * (1 - middle)) ** (config.concentration - 1)
     cumulative = torch.cat([density.new_zeros(1), density.cumsum(0)]) / density.sum()
     uniform = torch.rand(count, generator=rng, device=rng.device)
     upper = torch.searchsorted(cumulative, uniform).clamp(1, _QUANTILES - 1)

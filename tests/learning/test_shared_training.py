@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 
+from pipeline import distributed
 from pipeline.errors import ConfigError, ProcessKilled
 from pipeline.files import load_tensors, read_json
 from pipeline.launch import resolve_processes, share_work
@@ -100,6 +101,14 @@ def test_auto_is_two_processes_on_a_cpu_that_has_threads_and_parts_for_them(
 ) -> None:
     monkeypatch.setattr(torch, "get_num_threads", lambda: threads)
     assert resolve_processes("auto", CPU, parts) == processes
+
+
+@pytest.mark.parametrize(("available", "shared"), [(600, 512), (501, 500), (512, 512), (1, 1)])
+def test_a_batch_of_all_there_is_divides_among_processes(
+    available: int, shared: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(distributed, "world", lambda: distributed.World(0, 4))
+    assert distributed.shared_batch(512, available) == shared
 
 
 @pytest.mark.parametrize(("gpus", "processes"), [(1, 1), (2, 2), (3, 2), (4, 4), (7, 4), (8, 8)])

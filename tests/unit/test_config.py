@@ -52,12 +52,14 @@ sizes:
 wrong:
   unknown: {iteration: 3}
   nested: {angle: {hihg: 3}}
+  section_of_none: {angel: {low: 1, high: 2}}
   kind: {iterations: 2.5}
   truth: {iterations: true}
   none: {iterations: 0}
   still: {rate: 0}
   full: {betas: [0.5, 1.0]}
   unordered: {rate: .nan}
+  endless: {rate: .inf}
   exponent: {rate: 1e-4}
   choice: {recipe: label}
   length: {betas: [0.5]}
@@ -99,6 +101,7 @@ def test_later_sections_replace_only_what_they_name(params: Path) -> None:
     ("section", "words"),
     [
         ("wrong.unknown", ["unknown key 'wrong.unknown.iteration'", "did you mean 'iterations'?"]),
+        ("wrong.section_of_none", ["unknown key 'wrong.section_of_none.angel'", "did you mean 'angle'?"]),
         ("wrong.nested", ["unknown key 'wrong.nested.angle.hihg'", "did you mean 'high'?"]),
         ("wrong.kind", ["'wrong.kind.iterations' is 2.5", "a whole number"]),
         ("wrong.truth", ["'wrong.truth.iterations' is True", "a whole number"]),
@@ -109,6 +112,7 @@ def test_later_sections_replace_only_what_they_name(params: Path) -> None:
             ["'wrong.full.betas' is [0.5, 1.0]", "a list of 2 items, each a number", ", at least 0 and below 1"],
         ),
         ("wrong.unordered", ["'wrong.unordered.rate' is nan; expected a number", ", above 0"]),
+        ("wrong.endless", ["'wrong.endless.rate' is inf; expected a number", ", above 0"]),
         ("wrong.exponent", ["'wrong.exponent.rate' is '1e-4'", "1.0e-4"]),
         ("wrong.choice", ["'wrong.choice.recipe' is 'label'", "one of 'labels', 'rotation'"]),
         ("wrong.length", ["'wrong.length.betas' is [0.5]", "a list of 2"]),

@@ -3,6 +3,7 @@
 import pytest
 import torch
 
+from pipeline.errors import ConfigError
 from pipeline.networks.encoders import CODE_NORM, LEAST_COLOR_VARIANCE, Encoder, EncoderConfig, FeatureEncoder
 from pipeline.seeding import generator, initialised
 
@@ -16,6 +17,11 @@ def test_code_does_not_depend_on_the_rest_of_the_batch(config: EncoderConfig, si
     images = torch.rand(3, 3, size, size, generator=generator(0))
     assert encoder(images).shape == (3, 5)
     torch.testing.assert_close(encoder(images)[1:2], encoder(images[1:2]))
+
+
+def test_channels_that_cannot_be_normalised_in_groups_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"encoder\.width is 12; expected a multiple of 8"):
+        EncoderConfig("wide_resnet", 12, 1)
 
 
 def test_resnet18_of_width_64_has_the_published_weights() -> None:

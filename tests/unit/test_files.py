@@ -84,6 +84,15 @@ def test_a_file_that_holds_no_tensors_is_named(tmp_path: Path, damage: str) -> N
         load_tensors(path)
 
 
+def test_an_entry_that_a_file_has_not_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "mesh.safetensors"
+    save_tensors(path, {"faces": torch.zeros(2)}, {"size": "3"})
+    tensors, texts = load_tensors(path)
+    for entries, name in ((tensors, "vertices"), (texts, "config")):
+        with pytest.raises(DataError, match=rf"mesh\.safetensors has no '{name}': it was written by another stage"):
+            entries[name]
+
+
 def test_equal_tensors_are_equal_bytes(tmp_path: Path) -> None:
     tensors = {name: torch.ones(3) for name in "cab"}
     texts = {f"key {number}": "text" for number in range(8)}

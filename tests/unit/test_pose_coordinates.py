@@ -62,7 +62,7 @@ def test_clamp_moves_to_the_nearest_coordinates() -> None:
 
 
 def test_mirror_of_a_mirror_symmetric_body_is_its_mirrored_picture() -> None:
-    poses = PoseCoordinates(PoseRange((-10.0, 50.0), (-5.0, 20.0), (-0.1, 0.4), (0.5, 2.0)), CAMERA, False)
+    poses = PoseCoordinates(PoseRange((-10.0, 50.0), (-20.0, 20.0), (-0.4, 0.4), (0.5, 2.0)), CAMERA, False)
     coordinates = poses.draw(20, generator(0))
     vertices = base_mesh().vertices.expand(20, -1, -1)
     xyz = project(vertices, poses(coordinates, vertices), CAMERA)
@@ -78,8 +78,8 @@ def test_a_range_may_be_one_value_but_not_reversed() -> None:
     torch.testing.assert_close(poses.box(again)[1], torch.ones(4))
     with pytest.raises(ConfigError, match=r"pose_range\.roll is \[5\.0, -5\.0\]; expected the lower bound first"):
         replace(RANGE, roll=(5.0, -5.0))
-    with pytest.raises(ConfigError, match=r"pose_range\.extent is \[0\.0, 1\.0\]; expected sizes above 0"):
-        replace(RANGE, extent=(0.0, 1.0))
+    with pytest.raises(ConfigError, match=r"pose_range\.center is \[-0\.5, 0\.1\]; expected as far to either side"):
+        replace(RANGE, center=(-0.5, 0.1))
 
 
 def test_gradients_flow_to_coordinates_and_vertices() -> None:

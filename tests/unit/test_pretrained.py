@@ -183,6 +183,8 @@ def test_more_weights_than_maps_are_one_sentence() -> None:
     require_maps((1.0,) * 6, extractor, "fine_tune.map_weights")
     with pytest.raises(ConfigError, match=r"fine_tune\.map_weights has 7 weights, but the features are 6 maps"):
         require_maps((1.0,) * 7, extractor, "fine_tune.map_weights")
+    with pytest.raises(ConfigError, match=r"fine_tune\.map_weights has 0 weights"):
+        require_maps((), extractor, "fine_tune.map_weights")
 
 
 def test_the_stage_takes_a_network_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,6 +5,7 @@ import math
 import pytest
 import torch
 
+from pipeline.errors import ConfigError
 from pipeline.geometry.camera import CameraConfig, fill_picture, project
 from pipeline.seeding import generator
 from pipeline.training.viewpoints import (
@@ -28,6 +29,19 @@ def test_angles_have_the_moments_of_a_stretched_beta_distribution(concentration:
     assert degrees.max() <= 90.0
     assert degrees.mean().item() == pytest.approx(30.0, abs=4 * math.sqrt(variance / COUNT))
     assert degrees.var().item() == pytest.approx(variance, rel=0.03)
+
+
+def test_narrow_distributions_stay_numbers() -> None:
+    angles = sample_angles(AngleConfig(0, 180, 2000), 4000, generator(0)).rad2deg()
+    assert angles.mean().item() == pytest.approx(90, abs=0.1)
+    assert angles.std().item() == pytest.approx(180 / (2 * math.sqrt(4001)), rel=0.1)
+
+
+def test_viewpoints_that_nothing_can_have_are_refused() -> None:
+    with pytest.raises(ConfigError, match="lies between 30 and 0; expected low first"):
+        AngleConfig(30, 0, 1)
+    with pytest.raises(ConfigError, match=r"viewpoint\.elevation is 0 to 300; expected degrees from -90 to 90"):
+        ViewpointConfig(AngleConfig(0, 360, 1), AngleConfig(0, 300, 1), mirrored=False)
 
 
 def test_viewpoints_look_at_the_centre_without_roll() -> None:
