@@ -7,15 +7,17 @@ TOOLS := .venv/.tools_installed
 # The stages' commands in dvc.yaml call `python`.
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 # Threads that wait should spin for a moment and then sleep: spinning on halves the speed of a busy machine, sleeping at
-# once takes a third off that of a quiet one (docs/decisions.md).
+# once takes a third off that of a quiet one (docs/decisions/speed.md).
 export GOMP_SPINCOUNT := 20000
 
-.PHONY: repro test check run bench dependencies tables clean help
+.PHONY: repro install test check run bench dependencies tables clean help
 
 repro: $(STAMP)  ## run the pipeline: by default the toybox car, from pictures to a page
 	dvc repro
 
-run: $(if $(BASELINE),$(TOOLS),$(STAMP))  ## turn a row of the paper on and run it: ROW= SIZE=laptop|laptop-coarse|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASELINE=
+install: $(STAMP)  ## set up the environment alone
+
+run: $(if $(BASELINE),$(TOOLS),$(STAMP))  ## add a run to params.yaml and run it: ROW= SIZE=laptop|laptop-coarse|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASELINE=
 	@test -n "$(ROW)" || { echo "name a row: make run ROW=toybox-car, or another of those in params.yaml" >&2; exit 2; }
 	python -m stages.run_row $(foreach option,ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASELINE,$(if $($(option)),--$(shell echo $(option) | tr A-Z a-z) "$($(option))"))
 
@@ -29,7 +31,7 @@ check: $(TOOLS)  ## style, types and the direction of imports
 	lint-imports
 
 BENCH ?= bench
-bench: $(TOOLS)  ## time the renderer and the training steps, on a GPU where there is one: results/bench/$(BENCH).json
+bench: $(TOOLS)  ## time the renderer and the training steps, on a GPU where there is one: results/bench/BENCH.json, bench.json without BENCH=
 	mkdir -p results/bench
 	pytest benchmarks --override-ini addopts=--import-mode=importlib --override-ini "python_files=bench_*.py" \
 		--benchmark-json results/bench/$(BENCH).json
@@ -47,7 +49,7 @@ clean:  ## remove the environment and restart states; models and results stay
 	rm -rf .venv .checkpoints
 
 $(STAMP): constraints.txt pyproject.toml
-	test -x $(BIN)/python || $(PYTHON) -m venv .venv
+	@$(BIN)/python -c "import pip, sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))" 2> /dev/null || $(PYTHON) -m venv --clear .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[pipeline]"
 	touch $@
 
