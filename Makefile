@@ -51,6 +51,7 @@ clean:  ## remove the environment and restart states; models and results stay
 $(STAMP): constraints.txt pyproject.toml
 	@$(BIN)/python -c "import pip, sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))" 2> /dev/null || $(PYTHON) -m venv --clear .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[pipeline]"
+	@$(BIN)/python -c "import pymeshlab" || { echo "MeshLab does not load: install the libraries of OpenGL, on Debian and Ubuntu by apt-get install libgl1 libopengl0" >&2; exit 1; }
 	touch $@
 
 $(TOOLS): $(STAMP)

@@ -2,6 +2,7 @@
 
 import platform
 from collections.abc import Iterator
+from importlib import import_module
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import NamedTuple
@@ -30,6 +31,7 @@ def findings(project: Path) -> Iterator[Finding]:
     """Look at packages, the device, the data and the runs of a project."""
     yield Finding(True, f"Python {platform.python_version()}", "")
     yield from packages()
+    yield meshlab()
     yield device(project)
     yield from data(project)
     yield from runs(project)
@@ -50,6 +52,15 @@ def packages() -> Iterator[Finding]:
         yield Finding(
             right, f"{requirement.name} {installed}", "" if right else f"needs {requirement.specifier}; {INSTALL}"
         )
+
+
+def meshlab() -> Finding:
+    """Load MeshLab, which needs the system's libraries of OpenGL."""
+    try:
+        import_module("pymeshlab")
+    except ImportError as error:
+        return Finding(False, "MeshLab", f"{error}; on Debian and Ubuntu `apt-get install libgl1 libopengl0`")
+    return Finding(True, "MeshLab loads", "")
 
 
 def device(project: Path) -> Finding:

@@ -291,6 +291,18 @@ def test_doctor_names_what_is_missing(project: Path, capsys: pytest.CaptureFixtu
     assert any(line.startswith("ok      model of 'toybox-car'") for line in lines)
 
 
+def test_doctor_sees_that_meshlab_does_not_load(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert doctor.meshlab().found
+
+    def refuse(name: str) -> None:
+        raise ImportError(f"libGL.so.1: cannot open shared object file, needed by {name}")
+
+    monkeypatch.setattr(doctor, "import_module", refuse)
+    finding = doctor.meshlab()
+    assert not finding.found
+    assert finding.advice.startswith("libGL.so.1: cannot open")
+
+
 def test_doctor_sees_packages_that_are_missing_or_old(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "requires", lambda _: ["numpy<1", "no-such-package", "torch>=2", "x; extra == 'none'"])
     found = [(finding.found, finding.what.split()[0], finding.advice) for finding in doctor.packages()]
