@@ -8,8 +8,11 @@ from typing import Literal
 import numpy as np
 from jaxtyping import UInt8
 from PIL import Image, ImageOps, UnidentifiedImageError
+from pillow_heif import register_heif_opener
 
 from pipeline.errors import DataError
+
+register_heif_opener()  # PIL reads what telephones of Apple write
 
 Fit = Literal["crop", "pad"]
 """How a picture becomes square.
@@ -23,7 +26,7 @@ Box = tuple[int, int, int, int]
 
 
 def decode(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, "size size 3"]:
-    """Decode an RGB picture (JPEG, PNG, ...), turned upright as its EXIF data says.
+    """Decode an RGB picture (JPEG, PNG, HEIC, ...), turned upright as its EXIF data says.
 
     Pictures are made smaller, never larger. Raises DataError, naming the picture, if it cannot be read to its end, is
     not RGB, or is too small.
@@ -68,7 +71,7 @@ def reading(name: str) -> Iterator[None]:
         yield
     except UnidentifiedImageError:  # its text names the buffer, not the picture
         raise DataError(f"{name} cannot be read as a picture (unknown format); replace or remove it") from None
-    except (Image.DecompressionBombError, OSError, SyntaxError, ValueError) as error:
+    except (Image.DecompressionBombError, EOFError, OSError, RuntimeError, SyntaxError, ValueError) as error:
         raise DataError(f"{name} cannot be read as a picture ({error}); replace or remove it") from None
 
 

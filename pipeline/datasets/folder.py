@@ -13,7 +13,7 @@ from pipeline.datasets.prepared import SPLITS, Picture
 from pipeline.errors import DataError
 from pipeline.ranges import Count
 
-ENDINGS = {".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff"}
+ENDINGS = {".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff", ".heic", ".heif"}
 
 
 @dataclass(frozen=True)

@@ -56,15 +56,23 @@ def test_photographs_become_upright_rgb_and_not_too_large(tmp_path: Path) -> Non
         "d.png": picture(width=2000, height=500),
         "e.png": picture(width=4000, height=100),
         "f.png": grey_of_16_bits(),
+        "g.HEIC": picture_of_a_telephone(),
     }
     arrange(write_folder(tmp_path / "photos", files), "ship", tmp_path / "mine", 32)
     paths = sorted((tmp_path / "mine").rglob("*.jpg"), key=lambda path: path.name)
     written = [Image.open(io.BytesIO(path.read_bytes())) for path in paths]
-    assert [image.mode for image in written] == ["RGB"] * 6
-    sizes = [(40, 80), (32, 32), (40, 40), (LONGEST, LONGEST // 4), (1280, 32), (40, 40)]
+    assert [image.mode for image in written] == ["RGB"] * 7
+    sizes = [(40, 80), (32, 32), (40, 40), (LONGEST, LONGEST // 4), (1280, 32), (40, 40), (60, 40)]
     assert [image.size for image in written] == sizes
     assert np.asarray(written[2]).min() > 250
     assert abs(np.asarray(written[5]).mean() - 127.5) < 2
+
+
+def picture_of_a_telephone() -> bytes:
+    """Encode a picture as HEIC."""
+    stream = io.BytesIO()
+    Image.new("RGB", (60, 40), "green").save(stream, "HEIF")
+    return stream.getvalue()
 
 
 def grey_of_16_bits() -> bytes:
@@ -77,14 +85,14 @@ def grey_of_16_bits() -> bytes:
 
 def test_what_cannot_be_used_is_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = {f"{number}.jpg": noise(number) for number in range(3)}
-    files |= {"broken.jpg": noise(9)[:300], "small.png": picture(width=31), "a.HEIC": b"", "b.heic": b""}
+    files |= {"broken.jpg": noise(9)[:300], "small.png": picture(width=31), "a.CR2": b"", "b.cr2": b""}
     photos, out = write_folder(tmp_path / "photos", files), tmp_path / "mine"
     main(["arrange", str(photos), "--category", "ship", "--out", str(out)])
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith(f"left out: {photos / 'broken.jpg'} cannot be read as a picture")
     assert said[1:] == [
         f"left out: {photos / 'small.png'} is 31x32 px; expected at least 32 px along the short side",
-        "passed over: 2 files that end in '.heic'",
+        "passed over: 2 files that end in '.cr2'",
         f"2 for training and 1 for testing written to {out}, 2 left out",
     ]
 

@@ -66,6 +66,16 @@ def test_an_unreadable_picture_is_refused(content: bytes) -> None:
         decode(content, "car/7.jpg", 32, "crop")
 
 
+def test_a_picture_of_a_telephone_is_read_or_refused() -> None:
+    stream = io.BytesIO()
+    Image.fromarray(np.random.default_rng(0).integers(0, 256, (40, 60, 3), dtype=np.uint8)).save(stream, "HEIF")
+    content = stream.getvalue()
+    assert decode(content, "1.heic", 32, "crop").shape == (32, 32, 3)
+    for kept in range(0, len(content) - 1, 97):
+        with pytest.raises(DataError, match=r"1\.heic cannot be read as a picture"):
+            decode(content[:kept], "1.heic", 32, "crop")
+
+
 def test_a_picture_that_would_fill_the_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
     with pytest.raises(DataError, match=r"car/7.jpg cannot be read as a picture \(Image size"):
