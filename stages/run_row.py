@@ -122,7 +122,7 @@ def turn_on_baseline(path: Path, baseline: str, run: str) -> None:
 def round_trip_yaml() -> YAML:
     """Return a reader and writer of params.yaml that keeps comments, order and layout."""
     yaml = YAML()
-    yaml.width = 120
+    yaml.width = 4096  # no line is broken
     yaml.representer.add_representer(
         type(None), lambda representer, _: representer.represent_scalar("tag:yaml.org,2002:null", "null")
     )

@@ -7,7 +7,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from pipeline.errors import ConfigError
-from stages.run_row import turn_on, turn_on_baseline
+from stages.run_row import round_trip_yaml, turn_on, turn_on_baseline
 from tests.fresh_params import write_fresh_params
 from tests.pascal3d_tree import release
 from tests.picture_trees import tree, write_folder, write_tar
@@ -24,6 +24,12 @@ def params(tmp_path: Path) -> Path:
 
 def _options(row: str, **unusual: object) -> Namespace:
     return Namespace(**{**USUAL, "row": row, **unusual})
+
+
+def test_the_project_s_own_file_keeps_its_layout(tmp_path: Path) -> None:
+    yaml = round_trip_yaml()
+    yaml.dump(yaml.load(ROOT / "params.yaml"), tmp_path / "params.yaml")
+    assert (tmp_path / "params.yaml").read_text() == (ROOT / "params.yaml").read_text()
 
 
 def test_what_is_on_stays_as_it_is(params: Path) -> None:
