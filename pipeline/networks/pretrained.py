@@ -158,7 +158,7 @@ def load_pretrained(path: Path) -> PretrainedNetwork:
     try:
         network = PretrainedNetwork(metadata["architecture"])
         network.load_state_dict(tensors)
-    except (KeyError, RuntimeError):
+    except (DataError, KeyError, RuntimeError):
         raise DataError(f"{path} holds no pretrained network; make it with the stage train_features") from None
     return network.eval()
 

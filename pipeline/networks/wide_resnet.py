@@ -135,6 +135,6 @@ def load_wide_resnet(path: Path, device: torch.device) -> WideResNet:
     try:
         network = WideResNet(int(metadata["depth"]), int(metadata["width"]), int(metadata["classes"]))
         network.load_state_dict(tensors)
-    except (KeyError, ValueError, RuntimeError):
+    except (DataError, ValueError, RuntimeError):
         raise DataError(f"{path} holds no wide residual network; make it with the stage train_features") from None
     return network.eval().to(device)

@@ -13,6 +13,7 @@ PACKAGE_OF = {
     "cv2": "opencv-python-headless",
     "PIL": "pillow",
     "imageio_ffmpeg": "imageio-ffmpeg",
+    "pillow_heif": "pillow-heif",
     "ruamel": "ruamel.yaml",
     "yaml": "pyyaml",
 }
