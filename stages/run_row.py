@@ -101,9 +101,9 @@ def _name(subject: str, entry: dict[str, Any]) -> str:
 
 def _require_same(entry: dict[str, Any], wanted: dict[str, Any], key: str) -> None:
     for name, value in wanted.items():
-        if entry[name] != value:
+        if entry.get(name) != value:
             raise ConfigError(
-                f"{key} is on with {name} {entry[name]}, not {value}; name the same photographs differently with "
+                f"{key} is on with {name} {entry.get(name)}, not {value}; name the same photographs differently with "
                 f"DATASET= and SOURCE=, or remove {key} from params.yaml"
             )
 

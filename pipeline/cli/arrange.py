@@ -41,8 +41,8 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
 
     They are turned upright, become RGB, on white where they are transparent, and are made smaller until their long side
     is 1024 px or their short side `least_side`. Those that cannot be read, or whose short side is below `least_side`
-    pixels, are left out. Raises DataError for an `out` that exists or is
-    inside of the folder, and where fewer than two photographs are left.
+    pixels, are left out. Raises DataError for an `out` that exists or is inside of the folder, and where
+    fewer than two photographs are left.
     """
     if not is_plain(category):
         raise DataError(f"the category is '{category}'; expected a name of letters, digits, _ and - (a to z)")
