@@ -21,16 +21,21 @@ LIBRARY = Path(__file__).parents[1]
 
 
 class Checkpoint:
-    """Hold the restart state of one training: tensors and JSON values in one file of a folder.
+    """Hold the restart state of one training: tensors and JSON values in one file of a folder, or one for each part.
 
     The key says what the state belongs to (see `restart_key`): a state with another key is never loaded. Where
     processes share the training, the first one reads and writes the file and the others receive what it read.
     """
 
-    def __init__(self, folder: Path, key: str) -> None:
-        """Name the folder and the key; nothing is read or written yet."""
-        self._path = folder / "state.safetensors"
+    def __init__(self, folder: Path, key: str, part: str = "") -> None:
+        """Name the folder, the key and perhaps a part of the work; nothing is read or written yet."""
+        self._folder = folder
+        self._path = folder / f"state{part}.safetensors"
         self._key = key
+
+    def part(self, name: str) -> "Checkpoint":
+        """Return the state of one part of the work: what is done in parts need not be written again and again."""
+        return Checkpoint(self._folder, self._key, f"-{name}")
 
     def load(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
         """Return the saved tensors, on the CPU, and values; None where there are none or their key differs."""
@@ -42,8 +47,9 @@ class Checkpoint:
             save_tensors(self._path, tensors, {"key": self._key, "values": json.dumps(dict(values))})
 
     def clear(self) -> None:
-        """Remove the saved state, once the stage's outputs are written."""
-        self._path.unlink(missing_ok=True)
+        """Remove the saved state and that of all parts, once the stage's outputs are written."""
+        for path in self._folder.glob("state*.safetensors"):
+            path.unlink(missing_ok=True)
 
     def _read(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
         if not self._path.exists():

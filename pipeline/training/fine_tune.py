@@ -126,21 +126,22 @@ def fine_tune(
     """Reconstruct photographs and fine-tune background, pose and shape of each, batch by batch.
 
     Returns, for `predicted` and `tuned`, `pose_*`, `vertices_*`, `backgrounds_*` and `images_*` (8-bit pictures) and
-    `feature_distance_*`, then `textures`, `faces`, `directions` and `test_index`. Goes on from the checkpoint's
-    last batch.
+    `feature_distance_*`, then `textures`, `faces`, `directions` and `test_index`. Batches that the checkpoint holds are
+    not tuned again.
     """
     require_maps(config.map_weights, extractor, "fine_tune.map_weights")
     model.requires_grad_(False)
     index = torch.arange(len(images) if config.photographs is None else min(config.photographs, len(images)))
-    restored = checkpoint.load()
-    collected, done = ({}, 0) if restored is None else (restored[0], restored[1]["done"])
-    starts = range(done, len(index), config.batch_size)
-    for start in tqdm(starts, "fine-tuning", disable=None):
-        batch = index[start : start + config.batch_size]
-        results = _fine_tune_batch(config, images[batch.to(images.device)], model, extractor)
-        collected = {name: torch.cat([collected[name], new]) if collected else new for name, new in results.items()}
-        checkpoint.save(collected, {"done": start + len(batch)})
-    return collected | {"faces": model.faces, "directions": model.directions, "test_index": index}
+    collected: dict[str, list[Tensor]] = {}
+    for batch in tqdm(index.split(config.batch_size), "fine-tuning", disable=None):
+        part = checkpoint.part(f"{int(batch[0])}-{int(batch[-1])}")
+        if (restored := part.load()) is None:
+            restored = _fine_tune_batch(config, images[batch.to(images.device)], model, extractor), {}
+            part.save(*restored)
+        for name, values in restored[0].items():
+            collected.setdefault(name, []).append(values)
+    results = {name: torch.cat(values) for name, values in collected.items()}
+    return results | {"faces": model.faces, "directions": model.directions, "test_index": index}
 
 
 def _fine_tune_batch(

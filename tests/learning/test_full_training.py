@@ -260,6 +260,17 @@ def test_fine_tuning_lowers_every_distance_and_resumes_to_the_same_bytes(tmp_pat
     assert after.mean() < 0.97 * before.mean()
 
 
+def test_photographs_that_are_tuned_are_not_tuned_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    images, _ = photographs(6)
+    model, extractor = tiny_model().eval(), tiny_extractor()
+    first = fine_tune(FINE_TUNING, images, model, extractor, Checkpoint(tmp_path, "key"))
+    monkeypatch.delattr("pipeline.training.fine_tune.tune")
+    again = fine_tune(FINE_TUNING, images, model, extractor, Checkpoint(tmp_path, "key"))
+    assert all(torch.equal(first[name], again[name]) for name in first)
+    with pytest.raises(NameError):
+        fine_tune(FINE_TUNING, images, model, extractor, Checkpoint(tmp_path, "another"))
+
+
 def test_fine_tuning_moves_only_background_pose_and_shape(tmp_path: Path) -> None:
     images, _ = photographs(3)
     only_pose = replace(FINE_TUNING, background=PhaseConfig(0, 0.05), shape=PhaseConfig(0, 0.02))

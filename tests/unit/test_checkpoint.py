@@ -96,8 +96,19 @@ def test_cleared_state_is_gone(tmp_path: Path) -> None:
     checkpoint = Checkpoint(tmp_path, "key")
     checkpoint.clear()
     checkpoint.save({}, {})
+    checkpoint.part("0").save({}, {})
     checkpoint.clear()
     assert checkpoint.load() is None
+    assert not [*tmp_path.iterdir()]
+
+
+def test_parts_are_kept_apart(tmp_path: Path) -> None:
+    checkpoint = Checkpoint(tmp_path, "key")
+    checkpoint.part("0").save({}, {"done": 1})
+    checkpoint.part("1").save({}, {"done": 2})
+    assert checkpoint.load() is None
+    assert Checkpoint(tmp_path, "key").part("0").load() == ({}, {"done": 1})
+    assert Checkpoint(tmp_path, "other").part("0").load() is None
 
 
 def test_a_damaged_state_is_named(tmp_path: Path) -> None:
