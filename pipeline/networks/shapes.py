@@ -19,6 +19,9 @@ SLOPE = 0.1
 """Of the shape decoder's rectifiers where they are negative: what pushes every unit down could silence plain ones for
 ever (docs/decisions/shapes-and-hues.md)."""
 
+FLAT = 0.002
+"""What hardly counts as roughness, in world units."""
+
 
 @dataclass(frozen=True)
 class BaseLearningConfig:
@@ -55,11 +58,14 @@ class BaseOffsets(nn.Module):
         return offsets if self.mirrored_vertices is None else symmetrize(offsets, self.mirrored_vertices)
 
     def roughness(self) -> Float[Tensor, ""]:
-        """Return the sum over vertices of the squared distance of an offset from the mean of its neighbours'.
+        """Return the sum over vertices of the distance of an offset from the mean of its neighbours', in world units.
 
-        Of offsets, not of the shape: what no photograph asks for, such as relief, stays as it was learned.
+        Of offsets, not of the shape: what no photograph asks for, such as relief, stays as it was learned. Of
+        distances, not of squared ones: an edge costs no more than a bend of the same angle, but bumps all over cost
+        much. Below `FLAT` the distance grows with the square, so that the gradient has no step at 0.
         """
-        return (self.laplacian @ self()).square().sum()
+        squares = (self.laplacian @ self()).square().sum(dim=1)
+        return ((squares + FLAT**2).sqrt() - FLAT).sum()
 
 
 def _mirror_of(base: Mesh) -> Int[Tensor, " V"]:

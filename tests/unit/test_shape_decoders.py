@@ -79,8 +79,21 @@ def test_offsets_are_rough_where_they_differ_from_their_neighbours() -> None:
     moved, expected = offsets().detach(), 0.0
     for vertex in range(len(moved)):
         neighbours = faces[(faces == vertex).any(dim=1)].unique()
-        expected += float((moved[vertex] - moved[neighbours[neighbours != vertex]].mean(dim=0)).square().sum())
+        distance = float((moved[vertex] - moved[neighbours[neighbours != vertex]].mean(dim=0)).norm())
+        expected += math.hypot(distance, 0.002) - 0.002
     assert offsets.roughness().item() == pytest.approx(expected, rel=1e-4)
+
+
+@pytest.mark.parametrize(("size", "growth"), [(1e-4, 4.0), (1.0, 2.0)])
+def test_roughness_grows_with_the_square_of_dents_alone_that_hardly_count(size: float, growth: float) -> None:
+    offsets = free_form(mirror=True).base_offsets
+    assert offsets is not None
+    roughness = []
+    for dent in (size, 2 * size):
+        with torch.no_grad():
+            offsets.parameters_by_vertex[5, 2] = dent
+        roughness.append(offsets.roughness().item())
+    assert roughness[1] == pytest.approx(growth * roughness[0], rel=0.1)
 
 
 def test_a_base_shape_stays_in_the_unit_cube() -> None:
