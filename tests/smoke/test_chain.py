@@ -95,7 +95,7 @@ def test_seeds_in_two_processes_write_the_same_bytes(project: Path, tmp_path: Pa
 
 
 def _restart_states(folder: Path) -> list[Path]:
-    return list(folder.rglob("state.safetensors"))
+    return list(folder.rglob("state*.safetensors"))
 
 
 def _writes(option: str) -> bool:
