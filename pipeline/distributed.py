@@ -5,7 +5,7 @@ draws for the whole batch, takes its share of what was drawn, and takes the same
 over the processes first. Where there is one process, the functions here return what they are given.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from typing import Any, NamedTuple, TypeVar
@@ -99,15 +99,28 @@ def average(tensor: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     return total / world().size
 
 
+def average_all(tensors: Sequence[Tensor]) -> list[Tensor]:
+    """Average each of several tensors of one type, as `average` does, in one message."""
+    if world().size == 1:
+        return list(tensors)
+    averages = average(torch.cat([tensor.flatten() for tensor in tensors]))
+    parts = averages.split([tensor.numel() for tensor in tensors])
+    return [part.view_as(tensor) for part, tensor in zip(parts, tensors, strict=True)]
+
+
 def average_gradients(optimizer: torch.optim.Optimizer) -> None:
     """Average the gradients of an optimiser's parameters over the processes, between backward pass and step."""
     if world().size == 1:
         return
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
     gradients = [parameter.grad for parameter in parameters if parameter.grad is not None]
-    averages = average(torch.cat([gradient.flatten() for gradient in gradients]))
-    for gradient, part in zip(gradients, averages.split([gradient.numel() for gradient in gradients]), strict=True):
-        gradient.copy_(part.view_as(gradient))
+    for gradient, average_gradient in zip(gradients, average_all(gradients), strict=True):
+        gradient.copy_(average_gradient)
+
+
+def average_losses(losses: Mapping[str, Float[Tensor, ""]]) -> dict[str, Float[Tensor, ""]]:
+    """Average losses over the processes, without gradients."""
+    return dict(zip(losses, average_all([loss.detach() for loss in losses.values()]), strict=True))
 
 
 def agree(tensors: Iterable[Tensor]) -> None:

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from pipeline.datasets.images import Images
-from pipeline.distributed import agree, average, divide, share, whole, world
+from pipeline.distributed import agree, average, average_losses, divide, share, whole, world
 from pipeline.errors import DataError
 from pipeline.geometry.camera import fill_picture
 from pipeline.geometry.icosphere import icosphere
@@ -184,7 +184,7 @@ class SeedTrainer:
             total = total + losses["smoothness"]
         set_learning_rate(falling(config.learning_rate, iteration, config.iterations, config.cool_down), self.optimizer)
         take_step(total, self.optimizer)
-        return {name: average(loss.detach()) for name, loss in losses.items()}
+        return average_losses(losses)
 
     def parts(self) -> dict[str, Part]:
         """Name everything a restart state has to hold."""

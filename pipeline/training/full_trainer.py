@@ -7,7 +7,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from pipeline.distributed import agree, average, gather, share, shared_batch
+from pipeline.distributed import agree, average_losses, gather, share, shared_batch
 from pipeline.geometry.camera import Pose
 from pipeline.losses.image_distance import Features
 from pipeline.networks.discriminator import ViewDiscriminator
@@ -143,7 +143,7 @@ class FullTrainer:
         config = self.config
         set_learning_rate(falling(config.learning_rate, iteration, config.iterations, config.cool_down), self.optimizer)
         take_step(losses["loss"], self.optimizer)
-        return {name: average(loss.detach()) for name, loss in losses.items()}
+        return average_losses(losses)
 
     def start_from(self, scenes: LearnedScenes) -> None:
         """Learn to read the base shape's renderings; record first poses of the first photographs from all seeds' ones.
