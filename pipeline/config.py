@@ -24,6 +24,18 @@ class _Leaf:
     key: str
 
 
+class _Loader(yaml.SafeLoader):
+    """Read YAML, but refuse a key that stands twice in a section, of which others take the last one."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if key.value in seen:
+                raise yaml.constructor.ConstructorError(None, None, f"'{key.value}' stands twice", key.start_mark)
+            seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
 def load(path: Path, config_class: type[Config], sections: Sequence[str]) -> Config:
     """Build a frozen dataclass from the sections of a parameter file.
 
@@ -57,10 +69,10 @@ def scalar(path: Path, key: str) -> Any:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        document = yaml.load(path.read_text(encoding="utf-8"), _Loader)
     except FileNotFoundError:
         raise ConfigError(f"{path} does not exist; run this in the project's folder or name it: --project") from None
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
     if not isinstance(document, dict):
         raise ConfigError(f"{path} must hold sections of keys and values")

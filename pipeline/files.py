@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor, nn
 
 from pipeline.errors import DataError
@@ -68,7 +68,8 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[st
     copies = {name: tensors[name].detach().cpu().clone().contiguous() for name in sorted(tensors)}
     header = {"texts": json.dumps(dict(metadata), sort_keys=True)}
     with atomic_path(path) as temporary:
-        save_file(copies, temporary, header)
+        # save_file would write, and after a kill leave, a temporary file of its own.
+        temporary.write_bytes(save(copies, header))
 
 
 class _Entries(dict[str, Entry]):

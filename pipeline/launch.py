@@ -1,7 +1,9 @@
 """Start the processes that share a training (see `pipeline.distributed`), or join those that torchrun started."""
 
+import ctypes
 import multiprocessing
 import os
+import platform
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -19,6 +21,8 @@ from torch.multiprocessing.spawn import ProcessException, ProcessExitedException
 from pipeline.device import prepare_process
 from pipeline.errors import ConfigError, ProcessKilled, UserError
 
+_END_WITH_PARENT = 1
+"""PR_SET_PDEATHSIG of `prctl`."""
 _GRACE = 5.0
 """Seconds that processes have to end by themselves after another one has failed."""
 _PATIENCE = timedelta(days=7)
@@ -32,8 +36,8 @@ def share_work(processes: int, device: torch.device, function: Callable[..., Non
     device is one; threads are divided among them, and the function must be importable and its arguments picklable.
     Under torchrun this process is one of the group already, on any number of hosts, and `processes` is not used.
 
-    When any process ends before its work is done, all do. Raises the UserError or FileNotFoundError of the first one
-    that had one, and ProcessKilled where one was killed.
+    When any process ends before its work is done, all do. Raises the UserError or OSError of the first one that had
+    one, and ProcessKilled where one was killed.
     """
     if dist.is_torchelastic_launched():
         _work(int(os.environ["LOCAL_RANK"]), device, {}, function, arguments)
@@ -97,7 +101,7 @@ def _started(
     group = {"init_method": meeting, "rank": rank, "world_size": processes}
     try:
         _work(rank, device, group, function, arguments)
-    except (UserError, FileNotFoundError) as error:
+    except (UserError, OSError) as error:
         errors.put(error)
         sys.exit(1)
 
@@ -116,6 +120,12 @@ def _work(
     dist.init_process_group("cpu:gloo,cuda:nccl" if device.type == "cuda" else "gloo", timeout=_PATIENCE, **group)
     function(*arguments)
     dist.destroy_process_group()
+
+
+def end_with_parent() -> None:
+    """Let the system end this process when the one that started it ends, however that happens; on Linux alone."""
+    if platform.system() == "Linux":
+        ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGTERM)
 
 
 @contextmanager

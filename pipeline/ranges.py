@@ -33,6 +33,8 @@ Natural = Annotated[int, Range(0)]
 Positive = Annotated[float, Range(0, open_low=True)]
 NonNegative = Annotated[float, Range(0)]
 Several = Annotated[int, Range(2)]
+Frames = Annotated[int, Range(1, 120)]
+"""Of an animation of 2.4 seconds: viewers of GIFs show none for less than a fiftieth of a second."""
 Fraction = Annotated[float, Range(0, 1)]
 """A fraction of a whole, such as of all iterations."""
 Momentum = Annotated[float, Range(0, 1, open_high=True)]

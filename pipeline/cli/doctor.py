@@ -76,15 +76,15 @@ def device(project: Path) -> Finding:
 
 def data(project: Path) -> Iterator[Finding]:
     """Look for the sources of the datasets that are on."""
-    for name, dataset in scalar(project / "params.yaml", "datasets").items():
-        source = project / Path(dataset["source"]).expanduser()
+    for name, dataset in (scalar(project / "params.yaml", "datasets") or {}).items():
+        source = project / dataset["source"]
         advice = "" if source.exists() else "name its folder or archive with `make run ... SOURCE=...`"
         yield Finding(source.exists(), f"photographs of '{name}' in {dataset['source']}", advice)
 
 
 def runs(project: Path) -> Iterator[Finding]:
     """Look for the trained model and the page of every run."""
-    for name in scalar(project / "params.yaml", "runs"):
+    for name in scalar(project / "params.yaml", "runs") or {}:
         run = find_run(project, name)
         for what in ("model", "page"):
             try:

@@ -1,19 +1,23 @@
 """Read trees of files from a folder or an archive, without unpacking anything."""
 
+import gzip
 import lzma
 import os
 import tarfile
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from pipeline.errors import DataError
 
-DAMAGE = (tarfile.TarError, zipfile.BadZipFile, lzma.LZMAError, zlib.error, EOFError, OSError)
+DAMAGE = (tarfile.TarError, zipfile.BadZipFile, lzma.LZMAError, zlib.error, EOFError, OSError, UnicodeDecodeError)
 """What the readers of archives raise when bytes are missing or wrong."""
 
+_ZIP, _GZIP = b"PK", b"\x1f\x8b"
+"""How files of these forms begin."""
 _ENCRYPTED = 1
 """The flag of a zip's member that needs a password."""
 
@@ -53,10 +57,8 @@ def read_tree(path: Path, wanted: Wanted = lambda _: True) -> Iterator[Entry]:
     if not path.is_file():
         raise DataError(f"{path} does not exist; expected a folder or a tar or zip archive")
     try:
-        if zipfile.is_zipfile(path):
-            yield from _read_zip(path, wanted)
-        else:
-            yield from _read_tar(path, wanted)
+        read = _read_zip if _start(path) == _ZIP else _read_tar
+        yield from read(path, wanted)
     except DAMAGE as error:
         raise DataError(f"{path} is not a complete tar or zip archive ({error}); download or copy it again") from None
 
@@ -94,7 +96,11 @@ def _read_zip(path: Path, wanted: Wanted) -> Iterator[Entry]:
 
 
 def _read_tar(path: Path, wanted: Wanted) -> Iterator[Entry]:
-    with tarfile.open(path, "r|*", tarinfo=_Member) as archive:
+    with ExitStack() as opened:
+        # Read by tarfile itself, gzip's checksum would not be looked at.
+        unpacked = opened.enter_context(gzip.open(path)) if _start(path) == _GZIP else None
+        form = "r|*" if unpacked is None else "r|"
+        archive = opened.enter_context(tarfile.open(path, form, unpacked, tarinfo=_Member))
         for member in archive:
             # tarfile remembers every header it has met
             archive.members.clear()  # pyright: ignore[reportAttributeAccessIssue]
@@ -108,6 +114,13 @@ def _read_tar(path: Path, wanted: Wanted) -> Iterator[Entry]:
             if content is not None and len(content) < member.size:
                 raise EOFError(f"'{name}' ends early")
             yield Entry(name, content)
+        while unpacked and unpacked.read(2**20):
+            pass  # the checksum stands at the end
+
+
+def _start(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        return stream.read(2)
 
 
 def _inside(path: Path, name: str) -> PurePosixPath:

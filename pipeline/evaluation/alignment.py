@@ -16,6 +16,8 @@ from pipeline.geometry.camera import Pose, rotation_from_angles
 CANDIDATES = 360
 KERNEL_WIDTH = math.radians(15)
 CONSTANT_STEP = 5
+_CHUNK = 100
+"""Pictures whose guesses are held at once: a third of a megabyte each, for 1,000 draws."""
 
 
 def turn_pose(pose: Pose, angle: float) -> Pose:
@@ -68,5 +70,9 @@ def chance_errors(truth: Pose, training: Pose, draws: int, rng: torch.Generator)
     turns = (torch.arange(draws, dtype=torch.float64)[:, None] / draws + start) * (2 * math.pi)
     donors = torch.randint(len(training.azimuth), (draws, count), generator=rng)
     elevation, roll = training.elevation.double()[donors], training.roll.double()[donors]
-    guesses = rotation_from_angles(turns.flatten(), elevation.flatten(), roll.flatten())
-    return geodesic_distance(rotation(truth).expand(draws, count, 3, 3), guesses.reshape(draws, count, 3, 3))
+    parts = zip(*(part.split(_CHUNK, dim=-1) for part in (turns, elevation, roll)), strict=True)
+    errors = []
+    for true, angles in zip(rotation(truth).split(_CHUNK), parts, strict=True):
+        guesses = rotation_from_angles(*(angle.flatten() for angle in angles))
+        errors.append(geodesic_distance(true.expand(draws, *true.shape), guesses.reshape(draws, *true.shape)))
+    return torch.cat(errors, dim=1)

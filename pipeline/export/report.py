@@ -21,7 +21,7 @@ from pipeline.export.views import ViewConfig, on_white
 from pipeline.files import atomic_path
 from pipeline.geometry.camera import CameraConfig
 from pipeline.networks.pose_coordinates import Framing
-from pipeline.ranges import Count, Natural
+from pipeline.ranges import Count, Frames, Natural
 from pipeline.seeding import generator
 
 
@@ -33,15 +33,15 @@ class ReportConfig:
         seed: of the random choice of examples.
         examples: random pictures shown, and as many of the best.
         stepped: of the random pictures, how many are shown in 50-degree steps.
-        frames: renderings in one turn of a turntable.
+        frames: renderings in one turn of a turntable, which `kato3d reconstruct` writes.
         other_view: turn in degrees from the estimated view to the other view of an example.
         view: size and elevation of renderings.
     """
 
     seed: Natural
     examples: Count
-    stepped: Natural
-    frames: Count
+    stepped: Count
+    frames: Frames
     other_view: float
     view: ViewConfig
 

@@ -71,11 +71,12 @@ def border_loop(faces: Int[Tensor, "H 3"]) -> Int[Tensor, " N"]:
 
     Raise MeshError when the border is not one simple loop.
     """
-    following = dict(border_edges(faces).tolist())
+    edges = border_edges(faces).tolist()
+    following = dict(edges)
     loop = [min(following, default=0)]
-    while (vertex := following.get(loop[-1])) not in (None, loop[0]):
+    while (vertex := following.get(loop[-1])) not in (None, loop[0]) and len(loop) <= len(following):
         loop.append(vertex)
-    if len(loop) < len(border_edges(faces)) or not following:
+    if not len(loop) == len(following) == len(edges):
         raise MeshError("half of the mesh is not a disk, expected a border of one loop: the mesh needs genus 0")
     return torch.tensor(loop)
 

@@ -89,6 +89,12 @@ def test_a_killed_process_ends_the_training_which_resumes_to_the_same_bytes(two:
         assert (tmp_path / name).read_bytes() == (two / name).read_bytes()
 
 
+def test_what_a_file_system_refuses_a_process_is_raised_here(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(NotADirectoryError):
+        share_work(2, CPU, (tmp_path / "file/folder").mkdir)
+
+
 @pytest.mark.parametrize("processes", [0, True, "2"])
 def test_the_number_of_processes_is_checked(processes: object) -> None:
     with pytest.raises(ConfigError, match="expected auto or a whole number from 1"):

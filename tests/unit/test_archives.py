@@ -9,6 +9,7 @@ import pytest
 
 from pipeline.datasets.archives import read_tree
 from pipeline.errors import DataError
+from pipeline.seeding import numpy_generator
 from tests.picture_trees import tree, write_folder, write_tar, write_zip
 
 
@@ -74,13 +75,27 @@ def test_a_zip_that_is_packed_in_another_way_is_named(tmp_path: Path) -> None:
         contents(tmp_path / "other.zip")
 
 
-def test_a_flipped_byte_in_a_zip_is_noticed(tmp_path: Path) -> None:
-    path = write_zip(tmp_path / "pictures.zip", tree())
+@pytest.mark.parametrize("ending", ["tar.gz", "tar.xz", "tar.bz2", "zip"])
+def test_a_flipped_bit_in_a_picture_is_noticed(tmp_path: Path, ending: str) -> None:
+    files = {"train/car/1.jpg": numpy_generator(0, "picture").bytes(20_000)}  # as incompressible as a picture
+    path = (write_zip if ending == "zip" else write_tar)(tmp_path / f"pictures.{ending}", files)
     content = bytearray(path.read_bytes())
-    content[500] ^= 255
+    content[10_000] ^= 1
     path.write_bytes(content)
     with pytest.raises(DataError, match="not a complete"):
         contents(path)
+
+
+def test_a_name_of_a_zip_that_is_no_text_is_noticed(tmp_path: Path) -> None:
+    path = write_zip(tmp_path / "pictures.zip", {"train/müll/1.jpg": b"x"})
+    path.write_bytes(path.read_bytes().replace("ü".encode(), b"\xff\xff"))
+    with pytest.raises(DataError, match="not a complete"):
+        contents(path)
+
+
+def test_a_tar_that_ends_with_a_zip_is_a_tar(tmp_path: Path) -> None:
+    inner = write_zip(tmp_path / "labels.zip", {"notes.txt": b"x"}).read_bytes()
+    assert set(contents(write_tar(tmp_path / "pictures.tar", {**tree(), "z/labels.zip": inner}))) > set(tree())
 
 
 @pytest.mark.parametrize(

@@ -291,6 +291,15 @@ def test_doctor_names_what_is_missing(project: Path, capsys: pytest.CaptureFixtu
     assert any(line.startswith("ok      model of 'toybox-car'") for line in lines)
 
 
+def test_doctor_needs_no_runs(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    params = project / "params.yaml"
+    settings = YAML().load(params)
+    settings |= {"runs": None, "datasets": None}
+    YAML().dump(settings, params)
+    main(["--project", str(project), "doctor"])
+    assert "MISSING" not in capsys.readouterr().out
+
+
 def test_doctor_sees_that_meshlab_does_not_load(monkeypatch: pytest.MonkeyPatch) -> None:
     assert doctor.meshlab().found
 

@@ -157,9 +157,15 @@ def test_a_scalar_is_read(params: Path) -> None:
 
 
 def test_files_that_are_no_parameters_are_named(tmp_path: Path) -> None:
-    broken, empty = tmp_path / "broken.yaml", tmp_path / "empty.yaml"
-    broken.write_text("a: [1")
-    empty.write_text("")
-    for path, words in ((broken, "is not valid YAML"), (empty, "must hold sections"), (tmp_path / "no", "not exist")):
+    contents = {
+        "broken": (b"a: [1", "is not valid YAML"),
+        "latin": ("a: \u00fc".encode("latin-1"), "is not valid YAML"),
+        "twice": (b"a: {b: 1, b: 2}", "is not valid YAML: 'b' stands twice"),
+        "empty": (b"", "must hold sections"),
+    }
+    for name, (content, words) in contents.items():
+        (tmp_path / name).write_bytes(content)
         with pytest.raises(ConfigError, match=words):
-            scalar(path, "device")
+            scalar(tmp_path / name, "device")
+    with pytest.raises(ConfigError, match="does not exist"):
+        scalar(tmp_path / "no", "device")

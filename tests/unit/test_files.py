@@ -1,12 +1,13 @@
 """Files appear whole or not at all, and their bytes depend on their content alone."""
 
+import errno
 from pathlib import Path
 
 import pytest
 import safetensors.torch
 import torch
 
-from pipeline.errors import DataError
+from pipeline.errors import DataError, in_one_sentence
 from pipeline.files import atomic_path, load_tensors, read_json, save_tensors, sha256, write_json
 
 
@@ -23,6 +24,18 @@ def test_an_error_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
         _write_half(path)
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_tensors_that_cannot_be_written_leave_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(path: Path, content: bytes) -> None:
+        with path.open("wb") as stream:
+            stream.write(content[:4])
+        raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+    monkeypatch.setattr(Path, "write_bytes", refuse)
+    with pytest.raises(SystemExit, match="No space left on device; look at the path"), in_one_sentence():
+        save_tensors(tmp_path / "model.safetensors", {"weight": torch.ones(3)}, {})
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_a_kill_left_behind_is_removed(tmp_path: Path) -> None:

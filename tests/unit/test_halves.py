@@ -65,6 +65,12 @@ def test_border_of_two_loops_is_refused() -> None:
         border_loop(torch.cat(tube))
 
 
+@pytest.mark.parametrize("faces", [[[0, 1, 4], [1, 2, 3]], [[1, 2, 3], [0, 1, 4]]])
+def test_border_that_touches_itself_is_refused(faces: list[list[int]]) -> None:
+    with pytest.raises(MeshError, match="not a disk"):
+        border_loop(torch.tensor(faces))
+
+
 def test_faces_that_are_not_symmetric_are_refused() -> None:
     vertices, faces = cube_with_slanted_top()
     with pytest.raises(MeshError, match="not mirror-symmetric"):

@@ -15,6 +15,7 @@ from PIL import Image
 from pipeline.errors import DataError
 from pipeline.export.picture import GAP, NAME_HEIGHT, data_uri, encode_png, enlarge, sheet
 from pipeline.export.report import choose_examples, write_report
+from pipeline.export.report_metrics import headline
 from pipeline.export.report_pictures import Gallery
 from pipeline.export.viewer import three_js
 from pipeline.export.views import on_white, render_clay, render_textured
@@ -133,6 +134,13 @@ def test_same_inputs_give_the_same_bytes(tmp_path: Path) -> None:
         write_report(inputs(truth=True), CONFIG, tmp_path / name, tmp_path / f"{name}_figures")
     first, second = (tmp_path / name / "index.html" for name in ("first", "second"))
     assert first.read_bytes() == second.read_bytes()
+
+
+def test_single_stage_training_has_no_volume_of_a_base_shape_in_its_headline() -> None:
+    figures = inputs(truth=True).figures
+    single_stage = {**figures, "shape": {name: value for name, value in figures["shape"].items() if "base" not in name}}
+    dropped = {tile.label for tile in headline(figures)} - {tile.label for tile in headline(single_stage)}
+    assert dropped == {"volume IoU of the base shape as trained"}
 
 
 def test_lowest_score_is_marked_as_chosen(tmp_path: Path) -> None:

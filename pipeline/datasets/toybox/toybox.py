@@ -22,7 +22,7 @@ from pipeline.datasets.toybox.photograph import PhotographConfig, photograph
 from pipeline.datasets.toybox.surroundings import Setting
 from pipeline.datasets.toybox.views import ViewRange
 from pipeline.datasets.truth import GroundTruth, concatenate
-from pipeline.launch import divided_threads
+from pipeline.launch import divided_threads, end_with_parent
 from pipeline.ranges import Count, Natural
 from pipeline.seeding import numpy_generator
 
@@ -106,7 +106,7 @@ def _photograph_all(config: ToyboxConfig, chunks: list[Chunk]) -> list[Taken]:
     if processes < 2:
         return [take(chunk) for chunk in progress(chunks)]
     context = multiprocessing.get_context("spawn")
-    with divided_threads(processes), ProcessPoolExecutor(processes, context) as pool:
+    with divided_threads(processes), ProcessPoolExecutor(processes, context, end_with_parent) as pool:
         return list(progress(pool.map(take, chunks)))
 
 
