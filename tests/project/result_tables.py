@@ -80,9 +80,9 @@ def _sides(degrees: list[str]) -> list[int]:
     return [round(float(azimuth) / 90) % 4 for azimuth in degrees]
 
 
-WHOLE = r"(?!.*(no-|single-stage)).*"
+WHOLE = r"(?!.*(no-|fixed-base|single-stage)).*"
 """Runs without an ablation, and baselines."""
-ABLATIONS = r"toybox-car(-no-.*|-single-stage.*)?"
+ABLATIONS = r"toybox-car(-no-.*|-fixed-base|-single-stage.*)?"
 CONSISTENCY = {
     "azimuths read within 30°": "multiview.acc_pi6",
     "error, °": "multiview.error_degrees",
