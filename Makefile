@@ -17,7 +17,7 @@ repro: $(STAMP)  ## run the pipeline: by default the toybox car, from pictures t
 
 install: $(STAMP)  ## set up the environment alone
 
-run: $(if $(BASELINE),$(TOOLS),$(STAMP))  ## add a run to params.yaml and run it: ROW= SIZE=laptop|laptop-coarse|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASELINE=
+run: $(if $(BASELINE),$(TOOLS),$(STAMP))  ## add a run to params.yaml and run it: ROW= SIZE=laptop|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASELINE=
 	@test -n "$(ROW)" || { echo "name a row: make run ROW=toybox-car, or another of those in params.yaml" >&2; exit 2; }
 	python -m stages.run_row $(foreach option,ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASELINE,$(if $($(option)),--$(shell echo $(option) | tr A-Z a-z) "$($(option))"))
 

@@ -117,7 +117,7 @@ TABLES: dict[str, Table | Confusion] = {
             "mean shape of the truth": "shape.constant.voxel_iou",
             "masks predicted": "shape.test.mask_iou",
             "masks fine-tuned": "shape.test_tuned.mask_iou",
-            "best constant mask": "shape.constant.mask_iou",
+            "mean training mask": "shape.constant.mask_iou",
         },
     ),
     "reconstructions": Table(
@@ -165,18 +165,6 @@ TABLES: dict[str, Table | Confusion] = {
             "shape IoU": "shape.test.voxel_iou",
             "mask IoU": "shape.test.mask_iou",
             "fine-tuned mask IoU": "shape.test_tuned.mask_iou",
-        },
-    ),
-    "sizes": Table(
-        "",
-        r"toybox-car(-laptop-coarse)?",
-        {
-            "base-shape IoU": "shape.base.voxel_iou",
-            "shape IoU": "shape.test.voxel_iou",
-            "mask IoU": "shape.test.mask_iou",
-            "fine-tuned mask IoU": "shape.test_tuned.mask_iou",
-            "acc_pi/6 predicted": "pose.test.acc_pi6",
-            "turned by 180°": "pose.test.flipped",
         },
     ),
     "ablations-stanford-car": Table(
