@@ -10,7 +10,7 @@ from torch import Tensor
 
 from pipeline.datasets.images import Images
 from pipeline.distributed import agree, average, average_losses, divide, share, whole, world
-from pipeline.errors import DataError
+from pipeline.errors import ConfigError, DataError
 from pipeline.geometry.camera import fill_picture
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
@@ -37,7 +37,7 @@ from pipeline.training.curves import Curve
 from pipeline.training.loop import Schedule, run_training
 from pipeline.training.optimization import falling, set_learning_rate, take_step
 from pipeline.training.photographs import Photographs
-from pipeline.training.viewpoints import LightConfig, ViewpointConfig, sample_lights, sample_viewpoints
+from pipeline.training.viewpoints import LightConfig, ViewpointConfig, enlarge_fronts, sample_lights, sample_viewpoints
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,8 @@ class BaseShapeConfig:
         initial_dimensions: width, height and depth of the initial ellipsoid (paper Table 3).
         subdivisions: of the icosphere; 3 gives 642 vertices.
         framing: `box` lets the object fill each rendering, like photographs cut to their boxes.
+        front_scale: how many times larger objects are drawn from ahead and behind than from the side, at framing
+            `free`; the paper draws them alike, photographers fill the frame from every side.
         score_batches: batches of photographs and renderings that the score is averaged over.
         curve_every: iterations that one row of the curve averages.
         checkpoint_every: iterations between restart states.
@@ -68,6 +70,7 @@ class BaseShapeConfig:
     initial_dimensions: tuple[Positive, Positive, Positive]
     subdivisions: Natural
     framing: Framing
+    front_scale: Positive
     generator: GeneratorConfig
     constraints: ConstraintConfig
     viewpoint: ViewpointConfig
@@ -77,6 +80,11 @@ class BaseShapeConfig:
     score_batches: Count
     curve_every: Count
     checkpoint_every: Count
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError for a scale that filling the picture would override."""
+        if self.framing == "box" and self.front_scale != 1:
+            raise ConfigError(f"front_scale is {self.front_scale} at framing box; expected 1, or framing free")
 
 
 class Sphere(NamedTuple):
@@ -154,7 +162,7 @@ class SeedTrainer:
     def generate(self, count: int, rng: torch.Generator) -> tuple[Scene, Float[Tensor, "B 3 H W"]]:
         """Draw `count` scenes, viewpoints and lights; render this process's share of them (paper 3.1.5)."""
         scene = self.scene(share(self.scene.sample_noise(count, rng)))
-        pose = share(sample_viewpoints(self.config.viewpoint, count, rng))
+        pose = share(enlarge_fronts(sample_viewpoints(self.config.viewpoint, count, rng), self.config.front_scale))
         if self.config.framing == "box":
             pose = fill_picture(scene.vertices, pose, self.config.renderer.camera)
         light = share(sample_lights(self.config.light, count, rng))

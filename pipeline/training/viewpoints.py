@@ -88,6 +88,11 @@ def sample_viewpoints(config: ViewpointConfig, count: int, rng: torch.Generator)
     return Pose(azimuth, elevation, zeros, torch.stack([zeros, zeros], 1), torch.ones_like(azimuth))
 
 
+def enlarge_fronts(pose: Pose, front_scale: float) -> Pose:
+    """Scale objects by `front_scale` from ahead and behind, not from the side, and in between from between (ours)."""
+    return pose._replace(scale=pose.scale * (1 + (front_scale - 1) * pose.azimuth.cos() ** 2))
+
+
 def sample_lights(config: LightConfig, count: int, rng: torch.Generator) -> Light:
     """Draw directions towards the light uniformly on the upper half of the world's unit sphere."""
     height, turn = torch.rand(2, count, generator=rng, device=rng.device).unbind(0)

@@ -2,17 +2,18 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 
-from pipeline.errors import TrainingDiverged
-from pipeline.geometry.camera import CameraConfig
+from pipeline.errors import ConfigError, TrainingDiverged
+from pipeline.geometry.camera import CameraConfig, Pose
 from pipeline.losses.smoothness import SmoothnessConfig
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, Scene
 from pipeline.networks.wide_resnet import WideResNet
-from pipeline.rendering.renderer import RendererConfig
+from pipeline.rendering.renderer import Mesh, RendererConfig, Rendering, render
 from pipeline.seeding import generator, initialised
 from pipeline.training import base_shape
 from pipeline.training.base_shape import BaseShapeConfig, BaseShapes, SeedTrainer, learn_base_shape
@@ -31,6 +32,7 @@ CONFIG = BaseShapeConfig(
     initial_dimensions=(0.5, 0.5, 1.0),
     subdivisions=1,
     framing="free",
+    front_scale=1.0,
     generator=GeneratorConfig(8, 16, 1.0, 4, 8, 8, True),
     constraints=ConstraintConfig(True, True, True, True),
     viewpoint=ViewpointConfig(AngleConfig(0.0, 360.0, 1.0), AngleConfig(0.0, 30.0, 1.0), mirrored=False),
@@ -138,3 +140,25 @@ def test_the_same_seed_repeats_exactly(images: torch.Tensor, extractor: FeatureE
     second = learn(tmp_path / "second", images, extractor, replace(CONFIG, seeds=1))
     assert torch.equal(first.vertices, second.vertices)
     assert generator(0, "a").initial_seed() != generator(0, "b").initial_seed()
+
+
+def test_fronts_are_drawn_larger(
+    images: torch.Tensor, extractor: FeatureExtractor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ahead = replace(CONFIG, viewpoint=replace(CONFIG.viewpoint, azimuth=AngleConfig(0.0, 0.0, 1.0)), front_scale=1.4)
+    drawn = list[Pose]()
+
+    def watched(mesh: Mesh, textures: torch.Tensor, pose: Pose, *rest: Any) -> Rendering:
+        drawn.append(pose)
+        return render(mesh, textures, pose, *rest)
+
+    monkeypatch.setattr(base_shape, "render", watched)
+    sphere = base_shape.build_sphere(CONFIG.subdivisions, torch.device("cpu"))
+    photographs = Photographs(images, extractor, CONFIG.batch_size, MEMORY)
+    SeedTrainer(ahead, sphere, photographs, extractor, 0, 0).step(0)
+    torch.testing.assert_close(drawn[0].scale, torch.full((CONFIG.batch_size,), 1.4))
+
+
+def test_a_scale_that_filling_the_picture_would_override_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"front_scale is 1\.4 at framing box; expected 1"):
+        replace(CONFIG, framing="box", front_scale=1.4)

@@ -6,12 +6,13 @@ import pytest
 import torch
 
 from pipeline.errors import ConfigError
-from pipeline.geometry.camera import CameraConfig, fill_picture, project
+from pipeline.geometry.camera import CameraConfig, Pose, fill_picture, project
 from pipeline.seeding import generator
 from pipeline.training.viewpoints import (
     AngleConfig,
     LightConfig,
     ViewpointConfig,
+    enlarge_fronts,
     sample_angles,
     sample_lights,
     sample_viewpoints,
@@ -81,3 +82,11 @@ def test_filling_the_picture_keeps_the_angles_and_fits_the_box() -> None:
     low, high = corners.amin(dim=1), corners.amax(dim=1)
     torch.testing.assert_close((low + high) / 2, torch.zeros(6, 2), atol=1e-4, rtol=0)
     torch.testing.assert_close((high - low).amax(dim=1), torch.full((6,), 2.0), atol=1e-4, rtol=0)
+
+
+def test_fronts_and_rears_are_enlarged_and_sides_are_not() -> None:
+    azimuth = torch.deg2rad(torch.tensor([0.0, 45.0, 90.0, 180.0, 270.0]))
+    zeros = torch.zeros(5)
+    pose = enlarge_fronts(Pose(azimuth, zeros, zeros, torch.zeros(5, 2), torch.full((5,), 2.0)), 1.4)
+    torch.testing.assert_close(pose.scale, 2 * torch.tensor([1.4, 1.2, 1.0, 1.4, 1.0]))
+    torch.testing.assert_close(pose.azimuth, azimuth)
