@@ -24,6 +24,7 @@ DEVICE = torch.device("cuda" if torch.cuda.is_available() else "cpu")
 MODULES = (rasterize_triton, interpolate_triton, texture_triton, crossings_triton, antialias_triton)
 LARGE = {"FACES": 512, "BOX_SAMPLES": 64, "SAMPLES": 4096, "EDGES": 512, "PIXELS": 4096}
 INTEGERS = ("faces", "edges", "edge_faces", "face_index", "nearest", "crossings")
+OTHERS = {"outlines": "*fp64", "boxes": "*i32"}
 CONSTANTS = {
     "size": 128,
     "nearest_depth": 1e-3,
@@ -70,6 +71,8 @@ def kind_of(name: str) -> str:
     """Return Triton's name for the type of a parameter."""
     if name in CONSTANTS:
         return "constexpr"
+    if name in OTHERS:
+        return OTHERS[name]
     return "i32" if name.endswith("_count") else "*i64" if name in INTEGERS else "*fp32"
 
 

@@ -8,6 +8,7 @@ from itertools import pairwise
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn import functional
 
 from pipeline.errors import ConfigError
 from pipeline.networks.batch_normalization import BatchNorm2d
@@ -135,6 +136,22 @@ class PaletteTextureGenerator(nn.Module):
         return torch.einsum("bchw,bcd->bdhw", weights, palette)
 
 
+class LinearUpsample(nn.Module):
+    """Stretch rows of values by linear interpolation.
+
+    As pictures of one row a channel: PyTorch's kernel for rows keeps a few dozen threads of a GPU busy.
+    """
+
+    def __init__(self, size: int) -> None:
+        super().__init__()
+        self.size = size
+
+    def forward(self, rows: Float[Tensor, "B C L"]) -> Float[Tensor, "B C size"]:
+        """Return rows of `size` values."""
+        size = (rows.shape[1], self.size)
+        return functional.interpolate(rows[:, None], size, mode="bilinear").squeeze(1)
+
+
 class StripesGenerator(nn.Module):
     """Map a latent vector to a background of horizontal stripes (paper 3.1.4)."""
 
@@ -144,10 +161,10 @@ class StripesGenerator(nn.Module):
         self.start = nn.Linear(latent_size, hidden_size * 8)
         self.layers = nn.Sequential(
             nn.ReLU(),
-            nn.Upsample(size=size // 2, mode="linear"),
+            LinearUpsample(size // 2),
             nn.Conv1d(hidden_size, hidden_size, 3, padding=1, padding_mode="replicate"),
             nn.ReLU(),
-            nn.Upsample(size=size, mode="linear"),
+            LinearUpsample(size),
             nn.Conv1d(hidden_size, 3, 3, padding=1, padding_mode="replicate"),
         )
         _spread(self)

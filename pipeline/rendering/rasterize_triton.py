@@ -1,8 +1,9 @@
 """The rasteriser for CUDA devices: the CPU's arithmetic, so the CPU's faces; importing this module imports triton.
 
-Programs go over the samples in the boxes of a few faces. A first pass finds the greatest inverse depth at each sample,
-a second one the lowest face that has it: atomic maxima and minima, whose results depend on no order. Cost follows the
-samples in the faces' boxes, and there is no list of faces that could overflow.
+What drawing needs of each face is computed once. Then programs go over the samples in the boxes of a few faces: a first
+pass finds the greatest inverse depth at each sample, a second one the lowest face that has it. Atomic maxima and minima
+do so, whose results depend on no order. Cost follows the samples in the faces' boxes, and there is no list of faces
+that could overflow.
 """
 
 from typing import Any, no_type_check
@@ -64,22 +65,24 @@ def _opposite_areas(x0, x1, x2, y0, y1, y2):
 
 @triton.jit
 @no_type_check
-def _draw(
+def _set_up(
     vertices,
     faces,
-    nearest,
-    face_index,
+    outlines,
+    boxes,
     vertex_count,
     face_count,
     size: tl.constexpr,
     nearest_depth: tl.constexpr,
-    first_pass: tl.constexpr,
-    box_block: tl.constexpr,
     block: tl.constexpr,
 ):
-    """Draw faces of one picture: their inverse depths in the first pass, those that are nearest in the second."""
+    """Write what drawing needs of each face: its outline and the box of samples around it, which may be empty.
+
+    An outline is the columns and rows of the corners, their inverse depths over the area, and 1 or, for corners that
+    run clockwise, -1; a box its first row and column, its width, and how many samples it has.
+    """
     picture = tl.program_id(0).to(tl.int64)
-    face = tl.program_id(1) * block + tl.arange(0, block)[:, None]
+    face = tl.program_id(1) * block + tl.arange(0, block)
     exists = face < face_count
     x0, x1, x2, y0, y1, y2, near0, near1, near2 = _corners(
         vertices + picture * vertex_count * 3, faces, face, exists, size, nearest_depth
@@ -90,17 +93,67 @@ def _draw(
     drawn = exists & (tl.abs(area) > 0.0) & (tl.minimum(tl.minimum(near0, near1), near2) > 0.0)
     turn = tl.where(area > 0.0, 1.0, -1.0)
     area = tl.where(drawn, tl.abs(area), 1.0)
-    near0, near1, near2 = near0 / area, near1 / area, near2 / area
     count = tl.where(drawn, width * height, 0)
+    outline = outlines + (picture * face_count + face) * 10
+    tl.store(outline, x0, exists)
+    tl.store(outline + 1, x1, exists)
+    tl.store(outline + 2, x2, exists)
+    tl.store(outline + 3, y0, exists)
+    tl.store(outline + 4, y1, exists)
+    tl.store(outline + 5, y2, exists)
+    tl.store(outline + 6, near0 / area, exists)
+    tl.store(outline + 7, near1 / area, exists)
+    tl.store(outline + 8, near2 / area, exists)
+    tl.store(outline + 9, turn, exists)
+    box = boxes + (picture * face_count + face) * 4
+    tl.store(box, tl.where(count > 0, first_row, 0.0).to(tl.int32), exists)
+    tl.store(box + 1, tl.where(count > 0, first_column, 0.0).to(tl.int32), exists)
+    tl.store(box + 2, width, exists)
+    tl.store(box + 3, count, exists)
+
+
+@triton.jit
+@no_type_check
+def _draw(
+    outlines,
+    boxes,
+    nearest,
+    face_index,
+    face_count,
+    size: tl.constexpr,
+    first_pass: tl.constexpr,
+    box_block: tl.constexpr,
+    block: tl.constexpr,
+):
+    """Draw faces of one picture: their inverse depths in the first pass, those that are nearest in the second."""
+    picture = tl.program_id(0).to(tl.int64)
+    face = tl.program_id(1) * block + tl.arange(0, block)[:, None]
+    exists = face < face_count
+    box = boxes + (picture * face_count + face) * 4
+    count = tl.load(box + 3, exists, other=0)
+    drawn = count > 0
+    first_row, first_column = tl.load(box, drawn, other=0), tl.load(box + 1, drawn, other=0)
+    width = tl.load(box + 2, drawn, other=1)
+    outline = outlines + (picture * face_count + face) * 10
+    x0 = tl.load(outline, drawn, other=0.0)
+    x1 = tl.load(outline + 1, drawn, other=0.0)
+    x2 = tl.load(outline + 2, drawn, other=0.0)
+    y0 = tl.load(outline + 3, drawn, other=0.0)
+    y1 = tl.load(outline + 4, drawn, other=0.0)
+    y2 = tl.load(outline + 5, drawn, other=0.0)
+    near0 = tl.load(outline + 6, drawn, other=0.0)
+    near1 = tl.load(outline + 7, drawn, other=0.0)
+    near2 = tl.load(outline + 8, drawn, other=0.0)
+    turn = tl.load(outline + 9, drawn, other=1.0)
     for start in range(0, tl.max(count), box_block):
         position = start + tl.arange(0, box_block)[None, :]
-        row, column = first_row + position // tl.maximum(width, 1), first_column + position % tl.maximum(width, 1)
+        row, column = first_row + position // width, first_column + position % width
         weight0, weight1, weight2 = _opposite_areas(
             x0 - column, x1 - column, x2 - column, turn * (y0 - row), turn * (y1 - row), turn * (y2 - row)
         )
         near = weight0 * near0 + weight1 * near1 + weight2 * near2
         hit = (position < count) & (tl.minimum(tl.minimum(weight0, weight1), weight2) >= 0.0) & (near > 0.0)
-        sample = (picture * size + row.to(tl.int64)) * size + column.to(tl.int64)
+        sample = (picture * size + row) * size + column
         bits = near.to(tl.int64, bitcast=True)  # positive floating-point numbers compare like their bits
         if first_pass:
             tl.atomic_max(nearest + sample, bits, mask=hit, sem="relaxed")
@@ -201,9 +254,13 @@ class _Rasterize(torch.autograd.Function):
         batch, vertex_count, _ = vertices.shape
         nearest = vertices.new_zeros((batch, size, size), dtype=torch.int64)
         face_index = torch.full_like(nearest, len(faces))
+        outlines = vertices.new_empty((batch, len(faces), 10), dtype=torch.float64)
+        boxes = vertices.new_empty((batch, len(faces), 4), dtype=torch.int32)
+        arguments = (vertices, faces, outlines, boxes, vertex_count, len(faces), size, NEAREST_DEPTH)
+        launch(_set_up, batch, len(faces), SAMPLES, *arguments)
         for first_pass in (True, False):
-            arguments = (vertex_count, len(faces), size, NEAREST_DEPTH, first_pass, BOX_SAMPLES)
-            launch(_draw, batch, len(faces), FACES, vertices, faces, nearest, face_index, *arguments)
+            arguments = (outlines, boxes, nearest, face_index, len(faces), size, first_pass, BOX_SAMPLES)
+            launch(_draw, batch, len(faces), FACES, *arguments)
         barycentric = torch.empty((batch, size, size, 3), dtype=vertices.dtype, device=vertices.device)
         arguments = (vertices, faces, face_index, barycentric, vertex_count, len(faces), size, NEAREST_DEPTH)
         launch(_weigh_corners, batch, size * size, SAMPLES, *arguments)

@@ -35,8 +35,9 @@ from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, Part
 from pipeline.training.curves import Curve
 from pipeline.training.loop import Schedule, run_training
-from pipeline.training.optimization import falling, set_learning_rate, take_step
+from pipeline.training.optimization import adam, falling, set_learning_rate, take_step
 from pipeline.training.photographs import Photographs
+from pipeline.training.recording import Recorded
 from pipeline.training.viewpoints import LightConfig, ViewpointConfig, enlarge_fronts, sample_lights, sample_viewpoints
 
 
@@ -153,10 +154,9 @@ class SeedTrainer:
                 fit_unit_cube((sphere.directions * dimensions)[None])[0],
                 sphere.mirror,
             ).to(device)
-        self.optimizer = torch.optim.Adam(
-            self.scene.parameters(), lr=config.learning_rate, betas=config.betas, fused=True
-        )
+        self.optimizer = adam(self.scene.parameters(), config.learning_rate, config.betas)
         self.rng = generator(seed, "base_shape", index, device=device)
+        self._learn = Recorded(self._learn_once, device, self.rng) if photographs.on_device else self._learn_once
         agree(self.scene.state_dict().values())
 
     def generate(self, count: int, rng: torch.Generator) -> tuple[Scene, Float[Tensor, "B 3 H W"]]:
@@ -183,6 +183,11 @@ class SeedTrainer:
     def step(self, iteration: int) -> dict[str, Float[Tensor, ""]]:
         """Take one optimisation step and return its losses, on the device."""
         config = self.config
+        set_learning_rate(falling(config.learning_rate, iteration, config.iterations, config.cool_down), self.optimizer)
+        return self._learn()
+
+    def _learn_once(self) -> dict[str, Float[Tensor, ""]]:
+        config = self.config
         self.scene.train()
         scene, images = self.generate(config.batch_size, self.rng)
         losses = self.reconstruction_loss(images, self.rng)
@@ -190,7 +195,6 @@ class SeedTrainer:
         if config.constraints.smoothness:
             losses["smoothness"] = smoothness(scene.vertices, self.sphere.topology, config.smoothness).mean()
             total = total + losses["smoothness"]
-        set_learning_rate(falling(config.learning_rate, iteration, config.iterations, config.cool_down), self.optimizer)
         take_step(total, self.optimizer)
         return average_losses(losses)
 

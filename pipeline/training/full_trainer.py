@@ -1,6 +1,8 @@
 """The state of full training, and one step of it (paper section 3.2)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -21,7 +23,6 @@ from pipeline.seeding import generator, initialised
 from pipeline.training.candidates import (
     Estimate,
     ExplorationConfig,
-    Record,
     first_record,
     flipped,
     refining,
@@ -32,8 +33,9 @@ from pipeline.training.exploration import explore
 from pipeline.training.first_poses import FirstPosesConfig, first_poses, read_poses
 from pipeline.training.full_losses import FullLoss, LossConfig
 from pipeline.training.lessons import LessonsConfig, learn_poses
-from pipeline.training.optimization import falling, set_learning_rate, take_step
+from pipeline.training.optimization import adam, falling, set_learning_rate, take_step
 from pipeline.training.photographs import Photographs
+from pipeline.training.recording import Recorded
 from pipeline.training.warm_up import WarmUpConfig, warm_up
 
 _CHUNK = 10_000
@@ -109,10 +111,11 @@ class FullTrainer:
             self.discriminator = ViewDiscriminator(config.discriminator_width, POSE_COORDINATES).to(device)
         self.loss = FullLoss(config.loss, self.model, self.discriminator, extractor)
         parameters = [*self.model.parameters(), *self.discriminator.parameters()]
-        self.optimizer = torch.optim.Adam(parameters, lr=config.learning_rate, betas=config.betas, fused=True)
+        self.optimizer = adam(parameters, config.learning_rate, config.betas)
         self.rng = generator(seed, "full_training", device=device)
         self.record = first_record(self.model, len(photographs.images), self.rng)
         self.visits = torch.zeros(len(photographs.images), dtype=torch.int64, device=device)
+        self._refine, self._explore = map(self._recorded, (refining(config.exploration), config.exploration))
         agree([*self.model.state_dict().values(), *self.discriminator.state_dict().values()])
 
     def draw(self, iteration: int) -> Int[Tensor, " B"]:
@@ -130,18 +133,23 @@ class FullTrainer:
         photographs and records what all of them found.
         """
         self._turn_round_if_due(iteration)
-        index = self.draw(iteration)
+        config = self.config
+        set_learning_rate(falling(config.learning_rate, iteration, config.iterations, config.cool_down), self.optimizer)
+        settled = iteration >= config.settle * config.iterations
+        return (self._explore if settled else self._refine)(self.draw(iteration))
+
+    def _recorded(self, exploration: ExplorationConfig) -> Callable[[Tensor], dict[str, Float[Tensor, ""]]]:
+        learn = partial(self._learn_from, exploration)
+        return Recorded(learn, self.rng.device, self.rng) if self.photographs.on_device else learn
+
+    def _learn_from(self, exploration: ExplorationConfig, index: Int[Tensor, " B"]) -> dict[str, Float[Tensor, ""]]:
         own = share(index)
         images, features = self.photographs.batch(own)
         estimate = self.estimate(images, features)
-        settled = iteration >= self.config.settle * self.config.iterations
-        exploration = self.config.exploration if settled else refining(self.config.exploration)
         best = explore(self.model, self.extractor, features, estimate, self.record.rows(own), exploration, self.rng)
         self.record.pose[index], self.record.shape[index] = gather(best.record.pose), gather(best.record.shape)
         self.visits[index] += 1
         losses = self.loss.terms(features, estimate, best, self.rng)
-        config = self.config
-        set_learning_rate(falling(config.learning_rate, iteration, config.iterations, config.cool_down), self.optimizer)
         take_step(losses["loss"], self.optimizer)
         return average_losses(losses)
 
@@ -163,7 +171,7 @@ class FullTrainer:
         if len(poses) < len(photographs):
             poses = torch.cat([poses, read_poses(self.model, photographs, len(poses))])
             agree([poses])
-        self.record = Record(poses, self.record.shape)
+        self.record.pose.copy_(poses)
 
     def turn_round(self, config: EndsConfig) -> None:
         """Turn recorded poses of photographs that show the opposite ends, and let the pose networks learn them.
@@ -178,7 +186,7 @@ class FullTrainer:
         read = read_poses(self.model, self.photographs.images)
         agree([read])
         opposite = ~surely & ((read[:, :2] * poses[:, :2]).sum(dim=1) < 0)
-        self.record = Record(torch.where(opposite[:, None], flipped(poses, 1)[0], poses), self.record.shape)
+        poses.copy_(torch.where(opposite[:, None], flipped(poses, 1)[0], poses))
 
     def finish(self) -> None:
         """Tell ends where they are to be told after training, and let the pose networks learn all visited records."""
@@ -199,7 +207,7 @@ class FullTrainer:
         told = tell_ends(images, poses[: len(read)], read, model.poses, self.extractor, config, self.rng)
         agree([told])
         told = functional.pad(told, (0, len(poses) - len(told)))
-        self.record = Record(torch.where(told[:, None] < 0, flipped(poses, 1)[0], poses), self.record.shape)
+        poses.copy_(torch.where(told[:, None] < 0, flipped(poses, 1)[0], poses))
         return (told != 0) & (self.visits > 0)
 
     def _learn(self, index: Int[Tensor, " P"], poses: Float[Tensor, "N 7"]) -> None:

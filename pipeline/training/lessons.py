@@ -8,7 +8,7 @@ nothing is rendered.
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 from tqdm import tqdm
 
@@ -18,7 +18,8 @@ from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_decoder import regression_error
 from pipeline.ranges import Count, Momentum, Natural, Positive
 from pipeline.training.checkpoint import read_losses
-from pipeline.training.optimization import falling, set_learning_rate, take_step
+from pipeline.training.optimization import adam, falling, set_learning_rate, take_step
+from pipeline.training.recording import Recorded
 
 
 @dataclass(frozen=True)
@@ -47,17 +48,21 @@ def learn_poses(
     of them agree on outweighs single wrong poses. Raises TrainingDiverged.
     """
     parameters = [*model.pose_encoder.parameters(), *model.pose_decoder.parameters()]
-    optimizer = torch.optim.Adam(parameters, lr=config.learning_rate, betas=config.betas, fused=True)
-    losses: list[dict[str, Tensor]] = []
-    for step in tqdm(range(config.iterations), "lessons", disable=silent()):
-        rows = share(torch.randint(len(index), (config.batch_size,), generator=rng, device=rng.device))
-        images, wanted = photographs[index[rows]].float() / 255, poses[rows]
+    optimizer = adam(parameters, config.learning_rate, config.betas)
+
+    def learn(pictures: UInt8[Tensor, "B 3 H W"], wanted: Float[Tensor, "B 7"]) -> dict[str, Float[Tensor, ""]]:
+        images = pictures.float() / 255
         if model.config.shape.mirror:
             images, wanted = torch.cat([images, images.flip(-1)]), torch.cat([wanted, model.poses.mirror(wanted)])
         code = model.pose_encoder(images)
         loss = regression_error(model.pose_decoder.ensemble(code), wanted[:, None])
         loss = loss + regression_error(model.pose_decoder(code), wanted)
-        losses.append({"loss": average(loss.detach())})
-        set_learning_rate(falling(config.learning_rate, step, config.iterations, config.iterations / 2), optimizer)
         take_step(loss, optimizer)
+        return {"loss": average(loss.detach())}
+
+    step, losses = Recorded(learn, rng.device), []
+    for number in tqdm(range(config.iterations), "lessons", disable=silent()):
+        rows = share(torch.randint(len(index), (config.batch_size,), generator=rng, device=rng.device))
+        set_learning_rate(falling(config.learning_rate, number, config.iterations, config.iterations / 2), optimizer)
+        losses.append(step(photographs[index[rows]], poses[rows]))
     read_losses(losses, config.iterations - 1, "the lessons")

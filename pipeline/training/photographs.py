@@ -19,6 +19,11 @@ class Photographs:
         size = sum(tensor.nbytes for tensor in (images[:1], *extract(extractor, images[:1], 1)))
         self._kept = extract(extractor, images[:], batch_size) if len(images) * size <= memory else None
 
+    @property
+    def on_device(self) -> bool:
+        """Whether batches are there without being read from disk."""
+        return isinstance(self.images, Tensor)
+
     def batch(self, index: Int[Tensor, " B"]) -> tuple[Float[Tensor, "B 3 H W"], list[Float[Tensor, "B _ _ _"]]]:
         """Return some photographs in [0, 1] and their features in single precision."""
         images = self.images[index]

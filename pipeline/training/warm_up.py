@@ -21,7 +21,8 @@ from pipeline.ranges import Count, Momentum, Natural, NonNegative, Positive
 from pipeline.rendering.lighting import Light
 from pipeline.rendering.renderer import Mesh, render
 from pipeline.training.checkpoint import read_losses
-from pipeline.training.optimization import take_step
+from pipeline.training.optimization import adam, take_step
+from pipeline.training.recording import Recorded
 from pipeline.training.viewpoints import LightConfig, sample_lights
 
 
@@ -75,12 +76,15 @@ def warm_up(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng:
 
     Raises TrainingDiverged as full training does.
     """
-    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, betas=config.betas, fused=True)
-    losses: list[dict[str, Tensor]] = []
-    for _ in tqdm(range(config.iterations), "warm-up", disable=silent()):
+    optimizer = adam(model.parameters(), config.learning_rate, config.betas)
+
+    def learn() -> dict[str, Float[Tensor, ""]]:
         loss = warm_up_loss(model, draw_sample(model, scenes, config, rng))
-        losses.append({"loss": average(loss.detach())})
         take_step(loss, optimizer)
+        return {"loss": average(loss.detach())}
+
+    step = Recorded(learn, rng.device, rng)
+    losses = [step() for _ in tqdm(range(config.iterations), "warm-up", disable=silent())]
     read_losses(losses, config.iterations - 1, "the warm-up")
 
 

@@ -27,7 +27,7 @@ from tests.scenes import CONFIG, Scene
 from tests.triton_kernels import DEVICE, draw_with_triton, enlarge_programs
 
 KERNELS = {
-    rasterize_triton: ["_draw", "_weigh_corners", "_weigh_corners_backward"],
+    rasterize_triton: ["_set_up", "_draw", "_weigh_corners", "_weigh_corners_backward"],
     interpolate_triton: ["_interpolate", "_interpolate_backward"],
     texture_triton: ["_sample", "_sample_backward"],
     crossings_triton: ["_find_crossings"],
