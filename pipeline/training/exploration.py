@@ -64,8 +64,15 @@ def score(
         model.poses(poses.flatten(0, 1), vertices),
         estimate.backgrounds.repeat(count, 1, 1, 1),
     )
-    photographs = comparable(photographs, map_weights)
-    features = comparable(extractor(model.render(reconstructions), len(map_weights)), map_weights)
+    features = extractor(model.render(reconstructions), len(map_weights))
+    return distances(photographs, features, count, map_weights)
+
+
+def distances(
+    photographs: Features, features: Features, count: int, map_weights: tuple[float, ...]
+) -> Float[Tensor, "candidates B"]:
+    """Return the distances of `count` candidates' features, one batch after the other, from the photographs'."""
+    photographs, features = comparable(photographs, map_weights), comparable(features, map_weights)
     of_candidates = zip(*(layer.chunk(count) for layer in features), strict=True)
     return torch.stack([feature_distance(photographs, list(candidate)) for candidate in of_candidates])
 
