@@ -131,7 +131,8 @@ def test_interpolations_agree() -> None:
 
     actual, expected = (gradients(f, attributes, barycentric) for f in (on_device(with_triton), on_cpu))
     assert_close(actual, expected, 1e-5)
-    assert torch.autograd.grad(with_triton(attributes, barycentric.requires_grad_()).sum(), barycentric)
+    weights = barycentric.to(DEVICE).requires_grad_()
+    assert torch.autograd.grad(with_triton(attributes.to(DEVICE), weights).sum(), weights)
 
 
 def test_texture_lookups_agree() -> None:
