@@ -76,7 +76,8 @@ def test_rows_have_the_numbers_of_the_appendix(row: str) -> None:
     assert config.initial_dimensions == dimensions
     assert (view.azimuth.low, view.azimuth.high, view.azimuth.concentration) == azimuth
     assert (view.elevation.low, view.elevation.high, view.elevation.concentration) == (*elevation, 1)
-    assert (config.batch_size, config.learning_rate, config.betas, config.seeds) == (64, 1e-4, (0.5, 0.99), 10)
+    rate = 5e-5 if row == "cifar10-automobile" else 1e-4  # 1e-4 in the paper: docs/decisions.md
+    assert (config.batch_size, config.learning_rate, config.betas, config.seeds) == (64, rate, (0.5, 0.99), 10)
     assert config.cool_down == 0
     sections = ["train_full", f"rows.{row}.train_full", "sizes.paper.train_full"]
     full = load(PATH, FullTrainingConfig, sections)
