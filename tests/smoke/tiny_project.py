@@ -1,6 +1,7 @@
 """A copy of the project whose numbers are so small that the whole chain runs within a minute."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -9,6 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
+from ruamel.yaml.nodes import ScalarNode
+from ruamel.yaml.representer import SafeRepresenter
 
 from tests.fresh_params import write_fresh_params
 
@@ -105,7 +108,15 @@ def read_params(folder: Path) -> dict[str, Any]:
 
 
 def write_params(folder: Path, params: dict[str, Any]) -> None:
-    YAML(typ="safe").dump(params, folder / "params.yaml")
+    yaml = YAML(typ="safe", pure=True)
+    yaml.representer.add_representer(float, _represent)
+    yaml.dump(params, folder / "params.yaml")
+
+
+def _represent(representer: SafeRepresenter, value: float) -> ScalarNode:
+    """Write 5.0e-05, a number, where Python writes 5e-05, a text to YAML 1.1."""
+    text = re.sub(r"^(-?\d+)e", r"\1.0e", repr(value))
+    return representer.represent_scalar("tag:yaml.org,2002:float", text)
 
 
 def run(folder: Path, *command: str) -> str:
