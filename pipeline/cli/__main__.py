@@ -41,6 +41,11 @@ def _parser() -> ArgumentParser:
         action="store_true",
         help="fit background, pose and shape to each; takes seconds a photograph on a CPU",
     )
+    reconstruct.add_argument(
+        "--paint",
+        action="store_true",
+        help="paint each mesh with what its photograph shows, as sharp as that is; best after --fine-tune",
+    )
     reconstruct.set_defaults(command=_reconstruct)
     arrange = commands.add_parser("arrange", help="bring a folder of photographs into the form to learn from")
     arrange.add_argument("folder", type=Path, metavar="FOLDER", help="photographs of one category, at any depth")
@@ -69,7 +74,7 @@ def _parser() -> ArgumentParser:
 
 def _reconstruct(arguments: Namespace) -> None:
     from pipeline.cli.photographs import list_tasks
-    from pipeline.cli.reconstruct import reconstruct
+    from pipeline.cli.reconstruct import Steps, reconstruct
     from pipeline.cli.runs import find_run
     from pipeline.config import scalar
     from pipeline.device import resolve_device
@@ -77,7 +82,8 @@ def _reconstruct(arguments: Namespace) -> None:
     run, out = find_run(arguments.project, arguments.run), arguments.out
     device = resolve_device(scalar(run.params, "device"))
     tasks = list_tasks(arguments.photographs, out)
-    outcome = reconstruct(tasks, run, out, arguments.outputs, arguments.fine_tune, device)
+    steps = Steps(arguments.fine_tune, arguments.paint)
+    outcome = reconstruct(tasks, run, out, arguments.outputs, steps, device)
     print(f"{outcome.written} written to {out}, {outcome.skipped} already there, {len(outcome.failures)} failed")
     if outcome.failures:
         sys.exit("\n".join(f"error: {failure}" for failure in outcome.failures))

@@ -11,18 +11,20 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
+from torch.nn import functional
 from tqdm import tqdm
 
 from pipeline.cli.photographs import FILES, Task
 from pipeline.cli.runs import Run
 from pipeline.config import load, scalar
-from pipeline.datasets.decoding import Fit, decode, reading
+from pipeline.datasets.decoding import Fit, decode, decode_up_to, reading
 from pipeline.datasets.prepare import PrepareConfig
 from pipeline.device import resolve_precision
 from pipeline.errors import DataError
 from pipeline.export.animation import write_gif, write_mp4
 from pipeline.export.glb import write_glb
 from pipeline.export.obj import write_obj
+from pipeline.export.painting import PaintingConfig, paint
 from pipeline.export.picture import enlarge, write_png
 from pipeline.export.report import ReportConfig
 from pipeline.export.seam import unwrap
@@ -31,6 +33,7 @@ from pipeline.files import read_json, sha256, write_json
 from pipeline.geometry.camera import Pose, pose_from_tensor
 from pipeline.networks.feature_extractor import FeatureExtractor, extract, load_feature_extractor
 from pipeline.networks.full_model import FullModel, load_full_model
+from pipeline.rendering.renderer import Mesh, render
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.fine_tune import FineTuneConfig, fine_tune
 
@@ -39,13 +42,23 @@ RECORD = "reconstruct.json"
 
 
 class Found(NamedTuple):
-    """What a model reads off photographs."""
+    """What a model reads off a photograph."""
 
-    vertices: Float[Tensor, "B V 3"]
-    textures: Float[Tensor, "B 3 T T"]
+    vertices: Float[Tensor, "1 V 3"]
+    texture: Float[Tensor, "3 T T"]
     pose: Pose
-    images: Float[Tensor, "B 3 H W"]
-    """The reconstructions, rendered over their backgrounds."""
+    background: Float[Tensor, "1 3 H W"]
+    image: Float[Tensor, "3 H W"]
+    """The reconstruction, rendered over its background."""
+
+
+class Steps(NamedTuple):
+    """What is done to a photograph beyond reading shape, pose, texture and background off it."""
+
+    fine_tune: bool
+    """Fit background, pose and shape (paper section 3.2.4)."""
+    paint: bool
+    """Paint the mesh with the photograph."""
 
 
 class Outcome(NamedTuple):
@@ -59,7 +72,7 @@ class Outcome(NamedTuple):
 
 
 def reconstruct(
-    tasks: Sequence[Task], run: Run, out: Path, outputs: Sequence[str], tuned: bool, device: torch.device
+    tasks: Sequence[Task], run: Run, out: Path, outputs: Sequence[str], steps: Steps, device: torch.device
 ) -> Outcome:
     """Write the outputs of each photograph, in batches, going on where an earlier call for the same folder stopped.
 
@@ -67,20 +80,19 @@ def reconstruct(
     """
     model = load_full_model(run.model, device)
     config = load(run.params, FineTuneConfig, ["fine_tune", f"sizes.{run.size}.fine_tune"])
+    config = replace(config, photographs=None)
+    painting = load(run.params, PaintingConfig, ["paint"])
     fit = load(run.params, PrepareConfig, ["prepare_data", f"datasets.{run.dataset}"]).fit
     report = load(run.params, ReportConfig, ["report"])
-    steps = replace(config, photographs=None, batch_size=1)  # neither changes what comes out
-    settings = repr([fit, report.frames, report.view, sha256(run.features), *([steps] if tuned else [])])
-    way = {"model": sha256(run.model), "fine_tune": tuned, "settings": hashlib.sha256(settings.encode()).hexdigest()}
+    tuning = replace(config, batch_size=1)  # which does not change what comes out
+    chosen = [*([tuning] if steps.fine_tune else []), *([painting] if steps.paint else [])]
+    settings = repr([fit, report.frames, report.view, sha256(run.features), *chosen])
+    way = {"model": sha256(run.model), **steps._asdict(), "settings": hashlib.sha256(settings.encode()).hexdigest()}
     _require_same_way(out, way)
     write_json(out / RECORD, way)
     waiting = [task for task in tasks if not task.done(outputs)]
     extractor = load_feature_extractor(run.features, device, resolve_precision(scalar(run.params, "precision"), device))
-    find = (
-        partial(_fine_tuned, model=model, extractor=extractor, config=replace(config, photographs=None))
-        if tuned
-        else partial(_inferred, model=model, extractor=extractor)
-    )
+    find = partial(_fine_tuned, config=config) if steps.fine_tune else _inferred
     failures: list[str] = []
     with tqdm(total=len(waiting), desc="reconstructing", unit="photograph", disable=None) as progress:
         for start in range(0, len(waiting), config.batch_size):
@@ -88,9 +100,9 @@ def reconstruct(
             progress.update(min(config.batch_size, len(waiting) - start) - len(readable))
             if not readable:
                 continue
-            found = find(images.to(device))
-            for index, task in enumerate(readable):
-                _write(task, index, found, model, report, outputs)
+            for task, found in zip(readable, find(images.to(device), model, extractor), strict=True):
+                shown = _painted(found, task, model, fit, painting) if steps.paint else found
+                _write(task, shown, model, report, outputs)
                 progress.update()
     return Outcome(len(waiting) - len(failures), len(tasks) - len(waiting), failures)
 
@@ -115,32 +127,60 @@ def _read(
 
 
 @torch.no_grad()
-def _inferred(images: UInt8[Tensor, "B 3 H W"], model: FullModel, extractor: FeatureExtractor) -> Found:
+def _inferred(images: UInt8[Tensor, "B 3 H W"], model: FullModel, extractor: FeatureExtractor) -> list[Found]:
     features = [layer.float() for layer in extract(extractor, images, len(images))]
     scene = model.infer(images.float() / 255, features)
-    return Found(scene.vertices.cpu(), scene.texture_maps.cpu(), _cpu(scene.pose), model.render(scene).cpu())
+    pose = Pose(*(values.cpu() for values in scene.pose))
+    vertices, textures, backgrounds = scene.vertices.cpu(), scene.texture_maps.cpu(), scene.backgrounds.cpu()
+    return _separate(vertices, textures, pose, backgrounds, model.render(scene).cpu())
 
 
 def _fine_tuned(
     images: UInt8[Tensor, "B 3 H W"], model: FullModel, extractor: FeatureExtractor, config: FineTuneConfig
-) -> Found:
+) -> list[Found]:
     with tempfile.TemporaryDirectory() as folder:
         results = fine_tune(config, images, model, extractor, Checkpoint(Path(folder), "reconstruct"))
     pose = pose_from_tensor(results["pose_tuned"])
-    return Found(results["vertices_tuned"], results["textures"], pose, results["images_tuned"].float() / 255)
+    backgrounds, rendered = (results[name].float() / 255 for name in ("backgrounds_tuned", "images_tuned"))
+    return _separate(results["vertices_tuned"], results["textures"], pose, backgrounds, rendered)
 
 
-def _write(
-    task: Task, index: int, found: Found, model: FullModel, report: ReportConfig, outputs: Sequence[str]
-) -> None:
-    vertices, texture = found.vertices[index], found.textures[index]
+def _separate(
+    vertices: Float[Tensor, "B V 3"],
+    textures: Float[Tensor, "B 3 T T"],
+    pose: Pose,
+    backgrounds: Float[Tensor, "B 3 H W"],
+    images: Float[Tensor, "B 3 H W"],
+) -> list[Found]:
+    """Take a batch apart."""
+    parts = zip(vertices.split(1), textures, backgrounds.split(1), images, strict=True)
+    return [
+        Found(shape, texture, pose.at(slice(index, index + 1)), background, image)
+        for index, (shape, texture, background, image) in enumerate(parts)
+    ]
+
+
+def _painted(found: Found, task: Task, model: FullModel, fit: Fit, config: PaintingConfig) -> Found:
+    """Paint what is found with its photograph, and render it at the photograph's size."""
+    pixels = decode_up_to(task.photograph.read_bytes(), str(task.photograph), config.photograph_size, fit)
+    photograph = torch.from_numpy(pixels.copy()).permute(2, 0, 1) / 255
+    mesh = Mesh(found.vertices, model.faces.cpu(), model.directions.cpu())
+    settings, renderer = model.config, replace(model.config.renderer, size=len(pixels))
+    texture = paint(mesh, found.texture, found.pose, photograph, renderer.camera, settings.mirror_texture, config)
+    background = functional.interpolate(found.background, size=photograph.shape[1:], mode="bilinear")
+    image = render(mesh, texture[None], found.pose, background, None, renderer).images[0]
+    return found._replace(texture=texture, background=background, image=image)
+
+
+def _write(task: Task, found: Found, model: FullModel, report: ReportConfig, outputs: Sequence[str]) -> None:
+    vertices, texture = found.vertices[0], found.texture
     faces, directions = model.faces.cpu(), model.directions.cpu()
     if "mesh" in outputs:
         mesh = unwrap(vertices, faces, directions, texture.shape[-1])
         write_glb(task.file(".glb"), mesh, texture)
         write_obj(task.file(".obj"), mesh, texture)
     if "picture" in outputs:
-        picture = found.images[index].clamp(0, 1)
+        picture = found.image.clamp(0, 1)
         factor = max(1, report.view.size // picture.shape[-1])
         write_png(task.file("_reconstruction.png"), enlarge(picture, factor))
     if "turntable" in outputs or "video" in outputs:
@@ -151,17 +191,17 @@ def _write(
             if output in outputs:
                 write(task.file(*FILES[output]), turn, 2400 // report.frames)
     if "pose" in outputs:
-        write_json(task.file("_pose.json"), describe(found.pose, index))
+        write_json(task.file("_pose.json"), describe(found.pose))
 
 
-def describe(pose: Pose, index: int) -> dict[str, float | list[float]]:
-    """Return one pose in degrees and ndc."""
+def describe(pose: Pose) -> dict[str, float | list[float]]:
+    """Return the pose of a single object in degrees and ndc."""
     return {
-        "azimuth_degrees": pose.azimuth[index].rad2deg().item() % 360,
-        "elevation_degrees": pose.elevation[index].rad2deg().item(),
-        "roll_degrees": pose.roll[index].rad2deg().item(),
-        "center": pose.center[index].tolist(),
-        "scale": pose.scale[index].item(),
+        "azimuth_degrees": pose.azimuth.rad2deg().item() % 360,
+        "elevation_degrees": pose.elevation.rad2deg().item(),
+        "roll_degrees": pose.roll.rad2deg().item(),
+        "center": pose.center[0].tolist(),
+        "scale": pose.scale.item(),
     }
 
 
@@ -172,7 +212,3 @@ def _require_same_way(out: Path, way: dict[str, str | bool]) -> None:
             f"{out} holds reconstructions by another model or with other steps or settings ({RECORD}); name another "
             "folder, or remove this one"
         )
-
-
-def _cpu(pose: Pose) -> Pose:
-    return Pose(*(values.cpu() for values in pose))

@@ -31,16 +31,18 @@ def decode(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, 
     Pictures are made smaller, never larger. Raises DataError, naming the picture, if it cannot be read to its end, is
     not RGB, or is too small.
     """
-    with reading(name):
-        picture = ImageOps.exif_transpose(Image.open(io.BytesIO(content)))
-        picture.load()
-    if picture.mode != "RGB":
-        raise DataError(f"{name} has the colour mode {picture.mode}; expected RGB; convert or remove it")
-    side = min(picture.size) if fit == "crop" else max(picture.size)
+    picture = _upright(content, name)
+    side = _fitted_side(picture, fit)
     if side < size:
         which, found = "short" if fit == "crop" else "long", f"{picture.width}x{picture.height}"
         raise DataError(f"{name} is {found} px; expected at least {size} px along the {which} side")
-    return _square(np.asarray(_scaled(picture, size / side)), size)
+    return _fitted(picture, size, fit)
+
+
+def decode_up_to(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, "side side 3"]:
+    """Decode as `decode` does, but let pictures that are too small for the wanted size keep theirs."""
+    picture = _upright(content, name)
+    return _fitted(picture, min(size, _fitted_side(picture, fit)), fit)
 
 
 def cut_boxes(content: bytes, name: str, boxes: Sequence[Box], size: int) -> list[UInt8[np.ndarray, "size size 3"]]:
@@ -62,6 +64,23 @@ def _cut(picture: Image.Image, name: str, box: Box, size: int) -> UInt8[np.ndarr
         raise DataError(f"{name} is {found} px, but an object's box spans {box}; expected one inside of the picture")
     part = picture.crop(inside)
     return _square(np.asarray(_scaled(part, size / max(part.size))), size)
+
+
+def _upright(content: bytes, name: str) -> Image.Image:
+    with reading(name):
+        picture = ImageOps.exif_transpose(Image.open(io.BytesIO(content)))
+        picture.load()
+    if picture.mode != "RGB":
+        raise DataError(f"{name} has the colour mode {picture.mode}; expected RGB; convert or remove it")
+    return picture
+
+
+def _fitted_side(picture: Image.Image, fit: Fit) -> int:
+    return min(picture.size) if fit == "crop" else max(picture.size)
+
+
+def _fitted(picture: Image.Image, size: int, fit: Fit) -> UInt8[np.ndarray, "size size 3"]:
+    return _square(np.asarray(_scaled(picture, size / _fitted_side(picture, fit))), size)
 
 
 @contextmanager

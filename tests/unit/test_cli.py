@@ -89,6 +89,22 @@ def test_fine_tuning_changes_the_pose(project: Path, tmp_path: Path) -> None:
     assert json.loads((project / "out/car_pose.json").read_text()) != before
 
 
+def test_painting_shows_the_photograph_at_its_own_size(project: Path, tmp_path: Path) -> None:
+    colors = torch.tensor([200, 120, 40]).to(torch.uint8).expand(96, 128, 3)
+    Image.fromarray(colors.contiguous().numpy()).save(tmp_path / "large.png")
+    photographs = [str(tmp_path / "large.png"), str(tmp_path / "car.png")]
+    reconstruct(project, *photographs, "--paint", "--outputs", "mesh,picture,pose")
+    out = project / "out"
+    assert json.loads((out / "reconstruct.json").read_text())["paint"] is True
+    sizes = {name: cv2.imread(str(out / f"{name}_reconstruction.png")).shape[:2] for name in ("large", "car")}
+    assert sizes == {"large": (96, 96), "car": (64, 64)}  # of 32 pixels, enlarged to the size of views
+    texture = torch.from_numpy(cv2.imread(str(out / "large_texture.png"))).flip(2).float()
+    assert texture.shape == (128, 128, 3)
+    predicted = inferred(project, torch.tensor([200, 120, 40]).to(torch.uint8).view(1, 3, 1, 1).expand(1, 3, 32, 32))
+    before = (predicted.texture_maps[0].detach() * 255 - colors[0, 0].float()[:, None, None]).abs().mean()
+    assert (texture - colors[0, 0]).abs().mean() < 0.5 * before
+
+
 @pytest.mark.parametrize(("kind", "fit"), [("folder", "crop"), ("posed_folder", "pad")])
 def test_oblong_photographs_become_square_as_those_of_the_run_did(
     project: Path, tmp_path: Path, kind: str, fit: Fit

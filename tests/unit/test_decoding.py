@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline.datasets.decoding import decode
+from pipeline.datasets.decoding import decode, decode_up_to
 from pipeline.errors import DataError
 from tests.picture_trees import noise, picture
 
@@ -31,6 +31,14 @@ def test_crop_fits_the_short_side() -> None:
     assert pixels.shape == (32, 32, 3)
     assert tuple(pixels[5, 5]) == (255, 0, 0)
     assert tuple(pixels[5, -5]) == (0, 0, 255)
+
+
+def test_pictures_too_small_for_the_wanted_size_keep_theirs() -> None:
+    assert decode_up_to(halves(200, 64), "1.png", 128, "crop").shape == (64, 64, 3)
+    assert decode_up_to(halves(200, 64), "1.png", 128, "pad").shape == (128, 128, 3)
+    for fit in ("crop", "pad"):
+        expected = decode(halves(200, 64), "1.png", 32, fit)
+        np.testing.assert_array_equal(decode_up_to(halves(200, 64), "1.png", 32, fit), expected)
 
 
 def test_pad_fits_the_long_side_and_continues_the_border() -> None:
