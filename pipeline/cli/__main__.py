@@ -85,6 +85,8 @@ def _reconstruct(arguments: Namespace) -> None:
     steps = Steps(arguments.fine_tune, arguments.paint)
     outcome = reconstruct(tasks, run, out, arguments.outputs, steps, device)
     print(f"{outcome.written} written to {out}, {outcome.skipped} already there, {len(outcome.failures)} failed")
+    if outcome.page:
+        print(f"open {outcome.page.resolve()}")
     if outcome.failures:
         sys.exit("\n".join(f"error: {failure}" for failure in outcome.failures))
 

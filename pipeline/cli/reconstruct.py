@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 from tqdm import tqdm
 
+from pipeline.cli.gallery import write_gallery
 from pipeline.cli.photographs import FILES, Task
 from pipeline.cli.runs import Run
 from pipeline.config import load, scalar
@@ -39,6 +40,10 @@ from pipeline.training.fine_tune import FineTuneConfig, fine_tune
 
 RECORD = "reconstruct.json"
 """Says in the folder of outputs which model made them, and how."""
+PAGE = "index.html"
+"""Shows in the folder of outputs the meshes of the last call."""
+PAGED = ("mesh", "picture", "pose")
+"""Outputs that a photograph needs to be on the page."""
 
 
 class Found(NamedTuple):
@@ -69,6 +74,8 @@ class Outcome(NamedTuple):
     """Already reconstructed by an earlier call."""
     failures: list[str]
     """One sentence for each photograph that cannot be reconstructed."""
+    page: Path | None
+    """Where the meshes can be looked at, if there are any."""
 
 
 def reconstruct(
@@ -104,7 +111,10 @@ def reconstruct(
                 shown = _painted(found, task, model, fit, painting) if steps.paint else found
                 _write(task, shown, model, report, outputs)
                 progress.update()
-    return Outcome(len(waiting) - len(failures), len(tasks) - len(waiting), failures)
+    done = [task for task in tasks if task.done(PAGED)]
+    if done:
+        write_gallery(out / PAGE, done, fit, model.config.renderer.camera)
+    return Outcome(len(waiting) - len(failures), len(tasks) - len(waiting), failures, out / PAGE if done else None)
 
 
 def _read(

@@ -1,11 +1,13 @@
 """The command line, on a project with a tiny trained model."""
 
+import base64
 import json
 import math
 import shutil
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 import torch
 import trimesh
@@ -60,13 +62,24 @@ def inferred(project: Path, images: UInt8[Tensor, "B 3 H W"]) -> Reconstruction:
     return tiny_model().eval().infer(images / 255, features)
 
 
+def pixels(path: Path) -> UInt8[Tensor, "H W 3"]:
+    """Read a picture."""
+    with Image.open(path) as picture:
+        return torch.from_numpy(np.asarray(picture.convert("RGB")).copy())
+
+
 def test_photographs_become_textured_meshes(project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     endings = [".glb", ".mtl", ".obj", "_pose.json", "_reconstruction.png", "_texture.png", "_turntable.gif"]
     written = reconstruct(project, str(tmp_path / "car.png"), str(tmp_path / "van.png"))
     assert written == sorted(
-        ["reconstruct.json"] + [f"{name}{ending}" for name in ("car", "van") for ending in endings]
+        ["index.html", "reconstruct.json"] + [f"{name}{ending}" for name in ("car", "van") for ending in endings]
     )
-    assert "2 written to" in capsys.readouterr().out
+    out, page = capsys.readouterr().out, project / "out/index.html"
+    assert "2 written to" in out
+    assert f"open {page.resolve()}\n" in out
+    for name in ("car", "van"):  # on the page
+        assert f'data-name="{name}.png"' in page.read_text()
+        assert base64.b64encode((project / f"out/{name}.glb").read_bytes()).decode() in page.read_text()
     expected = inferred(project, photographs(2)[0])
     bounds = torch.stack([expected.vertices[1].amin(0), expected.vertices[1].amax(0)])
     for name in ("van.glb", "van.obj"):
@@ -96,9 +109,9 @@ def test_painting_shows_the_photograph_at_its_own_size(project: Path, tmp_path: 
     reconstruct(project, *photographs, "--paint", "--outputs", "mesh,picture,pose")
     out = project / "out"
     assert json.loads((out / "reconstruct.json").read_text())["paint"] is True
-    sizes = {name: cv2.imread(str(out / f"{name}_reconstruction.png")).shape[:2] for name in ("large", "car")}
-    assert sizes == {"large": (96, 96), "car": (64, 64)}  # of 32 pixels, enlarged to the size of views
-    texture = torch.from_numpy(cv2.imread(str(out / "large_texture.png"))).flip(2).float()
+    assert pixels(out / "large_reconstruction.png").shape == (96, 96, 3)
+    assert pixels(out / "car_reconstruction.png").shape == (64, 64, 3)  # 32 pixels, enlarged to the size of views
+    texture = pixels(out / "large_texture.png").float()
     assert texture.shape == (128, 128, 3)
     predicted = inferred(project, torch.tensor([200, 120, 40]).to(torch.uint8).view(1, 3, 1, 1).expand(1, 3, 32, 32))
     before = (predicted.texture_maps[0].detach() * 255 - colors[0, 0].float()[:, None, None]).abs().mean()
