@@ -2,14 +2,22 @@
 
 import io
 from collections.abc import Callable, Iterator
+from pathlib import Path
 
 import numpy
 import pytest
+import torch
 from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Locator, Page
 
+from pipeline.cli.gallery import write_gallery
+from pipeline.cli.photographs import Task
+from pipeline.export.glb import write_glb
+from pipeline.export.picture import write_png
 from pipeline.export.report import write_report
-from tests.report_inputs import BLUE, CONFIG, ORANGE, inputs
+from pipeline.export.seam import unwrap
+from pipeline.files import write_json
+from tests.report_inputs import BLUE, CAMERA, CONFIG, ORANGE, inputs
 
 pytestmark = pytest.mark.browser
 
@@ -29,12 +37,12 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.fixture
 def open_page(chromium: Browser, address: str) -> Iterator[Open]:
-    """Open the report; in the end, see that no error was reported and that nothing was asked of the network."""
+    """Open the report, or another page; in the end, see that no error was reported and that nothing was asked of the network."""
     contexts: list[BrowserContext] = []
     complaints: list[str] = []
     requests: list[str] = []
 
-    def open_(**options: object) -> Page:
+    def open_(address: str = address, **options: object) -> Page:
         contexts.append(chromium.new_context(**options))  # pyright: ignore[reportArgumentType]
         contexts[-1].set_default_timeout(PATIENCE)
         page = contexts[-1].new_page()
@@ -207,3 +215,19 @@ def test_a_browser_without_webgl_says_so(chromium: Browser, address: str) -> Non
     sentence.wait_for()
     assert sentence.is_visible()
     context.close()
+
+
+def test_reconstructed_photographs_are_turned_on_a_page_of_their_own(open_page: Open, tmp_path: Path) -> None:
+    found = inputs(truth=False).reconstructions
+    texture, vertices = found.textures[0], found.tuned.vertices[0]
+    tasks = [Task(tmp_path / f"my {name}.png", tmp_path / name) for name in ("first", "second")]
+    for task, azimuth in zip(tasks, (180.0, 0.0), strict=True):
+        write_png(task.photograph, torch.zeros(3, 48, 32))
+        write_png(task.file("_reconstruction.png"), torch.zeros(3, 32, 32))
+        write_glb(task.file(".glb"), unwrap(vertices, found.faces, found.directions, texture.shape[-1]), texture)
+        write_json(task.file("_pose.json"), {"azimuth_degrees": azimuth, "elevation_degrees": 0.0})
+    write_gallery(tmp_path / "index.html", tasks, "crop", CAMERA)
+    page = open_page((tmp_path / "index.html").as_uri(), **STILL)
+    numpy.testing.assert_allclose(color(seen(page), 0.5), BLUE, atol=0.03)
+    page.get_by_role("radio", name="my second.png").check()
+    numpy.testing.assert_allclose(color(seen(page), 0.5), ORANGE, atol=0.03)
