@@ -37,7 +37,7 @@ def address(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 @pytest.fixture
 def open_page(chromium: Browser, address: str) -> Iterator[Open]:
-    """Open the report, or another page; in the end, see that no error was reported and that nothing was asked of the network."""
+    """Open the report, or another page; in the end, see that no error was reported and nothing asked of the network."""
     contexts: list[BrowserContext] = []
     complaints: list[str] = []
     requests: list[str] = []
