@@ -98,7 +98,7 @@ def warm_up_loss(model: FullModel, sample: Sample) -> Float[Tensor, ""]:
 
     The picture is drawn with the true pose and shape: its error trains the texture and the background. Shapes are left
     to full training: how a small picture differs for an object's shape is learned too late to be a lesson here, and
-    until then the only answer is the base shape (docs/decisions/full-training.md).
+    until then the only answer is the base shape (docs/decisions/shapes-and-hues.md).
     """
     images, pose, shape = sample
     code = model.pose_encoder(images)
