@@ -80,7 +80,7 @@ def _sides(degrees: list[str]) -> list[int]:
     return [round(float(azimuth) / 90) % 4 for azimuth in degrees]
 
 
-WHOLE = r"(?!.*(no-|fixed-base|single-stage)).*"
+WHOLE = r"(?!.*(no-|fixed-base|single-stage|longer)).*"
 """Runs without an ablation, and baselines."""
 ABLATIONS = r"toybox-car(-no-.*|-fixed-base|-single-stage.*)?"
 CONSISTENCY = {
@@ -178,6 +178,19 @@ TABLES: dict[str, Table | Confusion] = {
             "median error, °": "pose.test.median_error_degrees",
             "feature distance": "reconstruction.predicted.feature_distance",
             "fine-tuned distance": "reconstruction.tuned.feature_distance",
+        },
+    ),
+    "longer": Table(
+        "",
+        r"(toybox-car|stanford-car|cifar10-automobile|cifar10-horse)(-longer)?",
+        {
+            "feature distance": "reconstruction.predicted.feature_distance",
+            "fine-tuned": "reconstruction.tuned.feature_distance",
+            "SSIM": "reconstruction.predicted.ssim",
+            "SSIM fine-tuned": "reconstruction.tuned.ssim",
+            "views right": "pose.test.acc_pi6",
+            "shape IoU": "shape.test.voxel_iou",
+            "mask IoU": "shape.test.mask_iou",
         },
     ),
     **{f"sides-{name}": Confusion(name, "azimuth_tuned") for name in CONFUSED},
