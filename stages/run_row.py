@@ -22,6 +22,7 @@ from stages.command_line import run
 
 PARAMS = Path("params.yaml")
 BASELINES = ("hologan", "colmap")
+SWITCHES = ("datasets", "features", "base_shapes", "runs", *BASELINES)
 OFFICIAL_CIFAR10 = "cifar-10-"
 CIFAR10_SIZE = 32
 EMBEDDED = "toybox"
@@ -57,11 +58,11 @@ def turn_on(path: Path, options: Namespace) -> str:
     pictures have another size, for features whose weights are not known, and for a run, a base shape or features of
     that name that are on with other settings.
     """
-    for section in ("datasets", "features", "base_shapes", "runs", "rows", "sizes", "ablations"):
+    for section in (*SWITCHES, "rows", "sizes", "ablations"):
         scalar(path, section)
     yaml = round_trip_yaml()
     document = yaml.load(path)
-    for section in ("datasets", "features", "base_shapes", "runs"):
+    for section in SWITCHES:
         document[section] = document[section] or CommentedMap()  # after the only entry was removed
     for kind, name in (("rows", options.row), ("sizes", options.size), ("ablations", options.ablation)):
         _require(name, document[kind], f"{path}: {kind}")

@@ -1,6 +1,7 @@
 """Turn the bytes of a picture into an array of the wanted size."""
 
 import io
+import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Literal
@@ -90,7 +91,16 @@ def reading(name: str) -> Iterator[None]:
         yield
     except UnidentifiedImageError:  # its text names the buffer, not the picture
         raise DataError(f"{name} cannot be read as a picture (unknown format); replace or remove it") from None
-    except (Image.DecompressionBombError, EOFError, OSError, RuntimeError, SyntaxError, ValueError) as error:
+    except (  # the last two: EXIF data of the wrong types, which turning a picture upright writes anew
+        Image.DecompressionBombError,
+        EOFError,
+        OSError,
+        RuntimeError,
+        SyntaxError,
+        ValueError,
+        struct.error,
+        TypeError,
+    ) as error:
         raise DataError(f"{name} cannot be read as a picture ({error}); replace or remove it") from None
 
 

@@ -1,6 +1,7 @@
 """Pictures become square arrays by a stated rule."""
 
 import io
+import struct
 
 import numpy as np
 import pytest
@@ -95,3 +96,14 @@ def test_a_picture_that_is_too_small_is_refused() -> None:
         decode(picture(width=64, height=20), "7.png", 32, "crop")
     with pytest.raises(DataError, match=r"7.png is 31x20 px; expected at least 32 px along the long side"):
         decode(picture(width=31, height=20), "7.png", 32, "pad")
+
+
+def test_exif_data_of_the_wrong_type_is_said() -> None:
+    short, text = 3, 2
+    tags = [(0x0112, short, 1, 6 << 16), (0x0128, text, 2, int.from_bytes(b"2\0\0\0"))]  # to be turned; a unit as text
+    entries = b"".join(struct.pack(">HHII", *tag) for tag in tags)
+    exif = b"Exif\0\0MM\0*" + struct.pack(">IH", 8, len(tags)) + entries + bytes(4)
+    stream = io.BytesIO()
+    Image.fromarray(np.zeros((64, 64, 3), np.uint8)).save(stream, "JPEG", exif=exif)
+    with pytest.raises(DataError, match=r"1\.jpg cannot be read as a picture"):
+        decode(stream.getvalue(), "1.jpg", 32, "crop")

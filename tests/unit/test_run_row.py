@@ -183,6 +183,13 @@ def test_a_baseline_shares_the_settings_of_its_run(params: Path, baseline: str) 
     assert [document[other] for other in ("hologan", "colmap") if other != baseline] == [{}]
 
 
+def test_a_baseline_can_be_turned_on_again(params: Path) -> None:
+    params.write_text(params.read_text().replace("\nhologan: {}", "\nhologan:"))  # its only entry was deleted
+    name = turn_on(params, _options("toybox-car", seed=1))
+    turn_on_baseline(params, "hologan", name)
+    assert list(YAML(typ="safe").load(params)["hologan"]) == ["toybox-car-seed1"]
+
+
 def test_the_official_archive_is_known_by_its_name(params: Path, tmp_path: Path) -> None:
     archive = tmp_path / "cifar-10-python.tar.gz"
     archive.touch()
