@@ -30,6 +30,8 @@ class _Loader(yaml.SafeLoader):
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
         for key, _ in node.value:
+            if not isinstance(key, yaml.ScalarNode):
+                raise yaml.constructor.ConstructorError(None, None, "a key is not a single value", key.start_mark)
             if key.value in seen:
                 raise yaml.constructor.ConstructorError(None, None, f"'{key.value}' stands twice", key.start_mark)
             seen.add(key.value)
@@ -50,10 +52,7 @@ def load(path: Path, config_class: type[Config], sections: Sequence[str]) -> Con
     document = _read(path)
     merged: dict[str, Any] = {}
     for section in sections:
-        found = _find(document, section, path)
-        if not isinstance(found, dict):
-            raise ConfigError(f"{path}: '{section}' must be a section of keys and values, not {found!r}")
-        merged = _merge(merged, _mark(found, section))
+        merged = _merge(merged, _mark(_section(document, section, path), section))
     return _build(config_class, merged, sections[0], path)
 
 
@@ -65,6 +64,13 @@ def from_json(text: str, config_class: type[Config], path: Path) -> Config:
 def scalar(path: Path, key: str) -> Any:
     """Read the single value under a dotted key, such as `device`. Raises ConfigError where there is none."""
     return _find(_read(path), key, path)
+
+
+def entries(path: Path, key: str) -> dict[str, dict[str, Any]]:
+    """Read a section of sections, such as `runs`, which may be empty. Raises ConfigError where it is anything else."""
+    document = _read(path)
+    found = {} if _find(document, key, path) is None else _section(document, key, path)
+    return {name: _section(document, f"{key}.{name}", path) for name in found}
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -89,6 +95,13 @@ def _find(document: dict[str, Any], dotted: str, path: Path) -> Any:
             raise ConfigError(f"{path} has no '{dotted}'{known}")
         found = found[key]
         walked.append(key)
+    return found
+
+
+def _section(document: dict[str, Any], dotted: str, path: Path) -> dict[str, Any]:
+    found = _find(document, dotted, path)
+    if not isinstance(found, dict):
+        raise ConfigError(f"{path}: '{dotted}' must be a section of keys and values, not {found!r}")
     return found
 
 

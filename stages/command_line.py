@@ -4,7 +4,7 @@ import sys
 from argparse import ArgumentParser, Namespace
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 from pipeline.errors import in_one_sentence
 
@@ -12,18 +12,14 @@ from pipeline.errors import in_one_sentence
 def parse(description: str | None, **arguments: Any) -> Namespace:
     """Parse a stage's arguments: every one is required and named, `out=Path` is `--out PATH`.
 
-    The type may be `list[...]` for one or more values. Every stage also takes `--params` (params.yaml) and
-    `--sections`, the dotted sections of it that make up the stage's config.
+    Every stage also takes `--params` (params.yaml) and `--sections`, the dotted sections of it that make up the stage's
+    config.
     """
     parser = ArgumentParser(description=description)
     parser.add_argument("--params", type=Path, required=True)
     parser.add_argument("--sections", nargs="+", required=True)
     for name, kind in arguments.items():
-        option = f"--{name.replace('_', '-')}"
-        if get_args(kind):
-            parser.add_argument(option, type=get_args(kind)[0], nargs="+", required=True)
-        else:
-            parser.add_argument(option, type=kind, required=True)
+        parser.add_argument(f"--{name.replace('_', '-')}", type=kind, required=True)
     return parser.parse_args()
 
 

@@ -4,6 +4,7 @@ import os
 import re
 import sys
 from argparse import ArgumentParser, Namespace
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,12 @@ from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 
 from pipeline.config import load, nearest, scalar
+from pipeline.datasets import cifar10
+from pipeline.datasets.folder import list_categories
 from pipeline.datasets.pascal3d import has_annotations
 from pipeline.datasets.posed_folder import has_table
 from pipeline.datasets.prepared import is_plain
-from pipeline.datasets.toybox.toybox import CATEGORIES
+from pipeline.datasets.toybox import toybox
 from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
 from pipeline.training.base_shape import BaseShapeConfig
@@ -54,9 +57,9 @@ def turn_on(path: Path, options: Namespace) -> str:
 
     The name leaves out what is usual: laptop size, no ablation, seed 0, the row's own photographs. A run whose ablation
     leaves base shapes as they are shares the base shape of the run without ablation. Raises ConfigError for a row, size
-    or ablation that does not exist, for names that are not plain, for a dataset whose source is not known or whose
-    pictures have another size, for features whose weights are not known, and for a run, a base shape or features of
-    that name that are on with other settings.
+    or ablation that does not exist, for names that are not plain, for a dataset whose source is not known, that has no
+    such category or whose pictures have another size, for features whose weights are not known, and for a run, a base
+    shape or features of that name that are on with other settings.
     """
     for section in (*SWITCHES, "rows", "sizes", "ablations"):
         scalar(path, section)
@@ -65,15 +68,16 @@ def turn_on(path: Path, options: Namespace) -> str:
     for section in SWITCHES:
         document[section] = document[section] or CommentedMap()  # after the only entry was removed
     for kind, name in (("rows", options.row), ("sizes", options.size), ("ablations", options.ablation)):
-        _require(name, document[kind], f"{path}: {kind}")
+        _require(name, document[kind], f"{path}: {kind} has no")
     row = document["rows"][options.row]
     dataset, category = options.dataset or row["dataset"], options.category or row["category"]
     _require_plain("DATASET", dataset)
     _require_plain("CATEGORY", category)
-    if dataset == EMBEDDED:
-        _require_embedded(category, options.source)
+    if dataset == EMBEDDED and options.source is not None:
+        raise ConfigError(f"'{EMBEDDED}' is the embedded data set and has no SOURCE=; name yours with DATASET=")
     sections = ("learn_base_shape", f"rows.{options.row}.learn_base_shape", f"sizes.{options.size}.learn_base_shape")
     _turn_on_dataset(document, dataset, options.source, load(path, BaseShapeConfig, sections))
+    _require(category, _categories(document, dataset), f"'{dataset}' has no category")
     features = f"{dataset}-{options.size}"
     _turn_on_features(document, features, {"dataset": dataset, "size": options.size, "seed": 0}, options.features)
     own = (dataset, category) != (row["dataset"], row["category"])
@@ -166,6 +170,20 @@ def _turn_on_dataset(document: CommentedMap, name: str, source: Path | None, con
     _put(datasets, name, entry)
 
 
+def _categories(document: CommentedMap, dataset: str) -> Collection[str]:
+    """List a dataset's categories without reading its pictures."""
+    entry = document["datasets"][dataset]
+    match entry["kind"]:
+        case "toybox":
+            return toybox.CATEGORIES
+        case "cifar10":
+            return cifar10.CATEGORIES
+        case "pascal3d":
+            return {**document["prepare_data"]["pascal3d"], **entry.get("pascal3d", {})}["categories"]
+        case _:
+            return list_categories(Path(entry["source"]))
+
+
 def _picture_size(kind: str, settings: dict[str, Any]) -> int:
     if kind == "cifar10":
         return CIFAR10_SIZE
@@ -202,21 +220,14 @@ def _kind(source: Path) -> str:
     return "posed_folder" if has_table(source) else "folder"
 
 
-def _require_embedded(category: str, source: Path | None) -> None:
-    if source is not None:
-        raise ConfigError(f"'{EMBEDDED}' is the embedded data set and has no SOURCE=; name yours with DATASET=")
-    if category not in CATEGORIES:
-        raise ConfigError(f"'{EMBEDDED}' has no category '{category}'{nearest(category, CATEGORIES)}")
-
-
 def _require_plain(option: str, name: str) -> None:
     if not is_plain(name):
         raise ConfigError(f"{option}={name!r} has other characters than letters, digits, _ and -; use those alone")
 
 
-def _require(name: str, known: dict[str, Any], where: str) -> None:
+def _require(name: str, known: Collection[str], lack: str) -> None:
     if name not in known:
-        raise ConfigError(f"{where} has no '{name}'{nearest(name, known)}")
+        raise ConfigError(f"{lack} '{name}'{nearest(name, known)}")
 
 
 if __name__ == "__main__":

@@ -11,6 +11,7 @@ from pipeline.errors import in_one_sentence
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run a command; an error of the user is one sentence, without a traceback, and exits with status 1."""
+    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue]  # any file's name
     arguments = _parser().parse_args(words)
     with in_one_sentence():
         arguments.command(arguments)
@@ -126,7 +127,7 @@ def _view(arguments: Namespace) -> None:
 
 
 def _runs(arguments: Namespace) -> None:
-    from pipeline.cli.runs import measured_runs, runs_page
+    from pipeline.cli.measured_runs import measured_runs, runs_page
     from pipeline.export.runs_page import write_runs_page
 
     page = runs_page(arguments.project)

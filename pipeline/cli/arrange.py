@@ -82,11 +82,13 @@ def _upright(path: Path, least_side: int) -> Image.Image:
     if picture.has_transparency_data:
         picture = picture.convert("RGBA")
         picture = Image.alpha_composite(Image.new("RGBA", picture.size, "white"), picture)
-    return _smaller(_eight_bits(picture).convert("RGB"), least_side)
+    return _smaller(_eight_bits(picture, path).convert("RGB"), least_side)
 
 
-def _eight_bits(picture: Image.Image) -> Image.Image:
-    """Bring grey values of 16 bits to 8, which PIL would cut off at 255."""
+def _eight_bits(picture: Image.Image, path: Path) -> Image.Image:
+    """Bring grey values of 16 bits to 8, which PIL would cut off at 255; the range of fractions is not known."""
+    if picture.mode == "F":
+        raise DataError(f"{path} has grey values that are fractions; expected 8 or 16 bits")
     if not picture.mode.startswith("I"):
         return picture
     return Image.fromarray((np.asarray(picture).clip(0, 65535) / 257).round().astype(np.uint8))

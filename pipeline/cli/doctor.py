@@ -8,10 +8,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from packaging.requirements import Requirement
 
 from pipeline.cli.runs import find_run
-from pipeline.config import scalar
+from pipeline.config import entries, scalar
 from pipeline.device import resolve_device, resolve_precision
 from pipeline.errors import UserError
 
@@ -39,6 +38,11 @@ def findings(project: Path) -> Iterator[Finding]:
 
 def packages() -> Iterator[Finding]:
     """Compare what the project requires with what is installed."""
+    try:
+        from packaging.requirements import Requirement
+    except ImportError:
+        yield Finding(False, "packaging", INSTALL)
+        return
     for text in requires("kato3d") or []:
         requirement = Requirement(text)
         if not any(requirement.marker is None or requirement.marker.evaluate({"extra": extra}) for extra in EXTRAS):
@@ -76,15 +80,16 @@ def device(project: Path) -> Finding:
 
 def data(project: Path) -> Iterator[Finding]:
     """Look for the sources of the datasets that are on."""
-    for name, dataset in (scalar(project / "params.yaml", "datasets") or {}).items():
-        source = project / dataset["source"]
+    params = project / "params.yaml"
+    for name in entries(params, "datasets"):
+        source = project / scalar(params, f"datasets.{name}.source")
         advice = "" if source.exists() else "name its folder or archive with `make run ... SOURCE=...`"
-        yield Finding(source.exists(), f"photographs of '{name}' in {dataset['source']}", advice)
+        yield Finding(source.exists(), f"photographs of '{name}' in {source}", advice)
 
 
 def runs(project: Path) -> Iterator[Finding]:
     """Look for the trained model and the page of every run."""
-    for name in scalar(project / "params.yaml", "runs") or {}:
+    for name in entries(project / "params.yaml", "runs"):
         run = find_run(project, name)
         for what in ("model", "page"):
             try:

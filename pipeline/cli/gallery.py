@@ -26,7 +26,8 @@ def write_gallery(path: Path, tasks: Sequence[Task], fit: Fit, camera: CameraCon
     section = viewer_section([_exhibit(task, fit) for task in shown], camera)
     text = page("Reconstructions", introduction, [], [section])
     with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
+        # Names of files may hold bytes that are no text.
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
 
 
 def _exhibit(task: Task, fit: Fit) -> Exhibit:

@@ -1,5 +1,6 @@
 """Which photographs to reconstruct, and where what comes of them is written."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -50,17 +51,18 @@ def find_photographs(folder: Path, without: Path | None = None) -> list[Path]:
 def list_tasks(paths: Sequence[Path], out: Path) -> list[Task]:
     """List the photographs among files and, at any depth, folders, whose arrangement the outputs keep.
 
-    Where `out` is a folder inside one of photographs, what lies in it is left out, so that a call can be repeated.
+    Where `out` is a folder inside one of photographs, what lies in it is left out, so that a call can be repeated. A
+    photograph that is named twice is listed once.
 
     Raises DataError for a path that does not exist, a folder without photographs, and two photographs of one name.
     """
-    tasks = [task for path in paths for task in _tasks(path, out)]
-    seen: dict[Path, Path] = {}
-    for photograph, target in tasks:
-        other = seen.setdefault(target, photograph)
-        if other != photograph:
+    tasks: dict[Path, Task] = {}
+    for task in (task for path in paths for task in _tasks(path, out)):
+        photograph, target = task
+        other = tasks.setdefault(target, task).photograph
+        if other.resolve() != photograph.resolve():
             raise DataError(f"{other} and {photograph} would both be written as {target}.glb; rename one")
-    return tasks
+    return list(tasks.values())
 
 
 def _tasks(path: Path, out: Path) -> Iterator[Task]:
@@ -73,5 +75,8 @@ def _tasks(path: Path, out: Path) -> Iterator[Task]:
 
 
 def _plain(name: str) -> str:
-    """Return a file's name without its ending and without spaces, which readers of OBJ take for the end of a name."""
-    return "_".join(Path(name).stem.split())
+    """Return a file's name without its ending.
+
+    Without spaces too, which readers of OBJ take for the end of a name, and without bytes that are no text in UTF-8.
+    """
+    return re.sub(r"[\udc80-\udcff]", "_", "_".join(Path(name).stem.split()))

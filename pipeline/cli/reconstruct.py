@@ -22,7 +22,7 @@ from pipeline.datasets.decoding import Fit, decode, decode_up_to, reading
 from pipeline.datasets.prepare import PrepareConfig
 from pipeline.device import resolve_precision
 from pipeline.errors import DataError
-from pipeline.export.animation import write_gif, write_mp4
+from pipeline.export.animation import encoder, write_gif, write_mp4
 from pipeline.export.glb import write_glb
 from pipeline.export.obj import write_obj
 from pipeline.export.painting import PaintingConfig, paint
@@ -83,8 +83,11 @@ def reconstruct(
 ) -> Outcome:
     """Write the outputs of each photograph, in batches, going on where an earlier call for the same folder stopped.
 
-    Raises DataError where the folder holds reconstructions by another model, or with other steps or settings.
+    Raises DataError where the folder holds reconstructions by another model, or with other steps or settings, and
+    ConfigError for films without their encoder.
     """
+    if "video" in outputs:
+        encoder()  # not missed only after the first photograph
     model = load_full_model(run.model, device)
     config = load(run.params, FineTuneConfig, ["fine_tune", f"sizes.{run.size}.fine_tune"])
     config = replace(config, photographs=None)

@@ -3,10 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.config import nearest, scalar
+from pipeline.config import entries, nearest, scalar
 from pipeline.errors import ConfigError, DataError
-from pipeline.export.runs_page import MeasuredRun
-from pipeline.files import read_json
 
 
 @dataclass(frozen=True)
@@ -52,31 +50,11 @@ def find_run(project: Path, name: str | None) -> Run:
     Raises ConfigError for a name that is not there, with the nearest one that is.
     """
     params = project / "params.yaml"
-    runs = scalar(params, "runs")
+    runs = entries(params, "runs")
     if not runs:
         raise ConfigError(f"{params} has no runs; add one with `make run ROW=...`")
     name = name if name is not None else next(iter(runs))
     if name not in runs:
         raise ConfigError(f"{params} has no run '{name}'{nearest(name, runs)}; `make run ROW=...` turns one on")
-    return Run(project, name, runs[name]["size"], runs[name]["dataset"], runs[name]["features"])
-
-
-def measured_runs(project: Path) -> list[MeasuredRun]:
-    """Return the figures of every run that was evaluated in a project's folder, whether params.yaml names it or not.
-
-    Raises DataError where there is none.
-    """
-    metrics, pages = project / "results" / "metrics", runs_page(project).parent
-    runs = []
-    for path in sorted(metrics.glob("*.json")):
-        figures, address = read_json(path), f"{path.stem}/index.html"
-        if "reconstruction" in figures:  # else a baseline's
-            runs.append(MeasuredRun(path.stem, address if (pages / address).is_file() else None, figures))
-    if not runs:
-        raise DataError(f"{metrics} has no figures of a run; make them with `make repro`, or name a --project")
-    return runs
-
-
-def runs_page(project: Path) -> Path:
-    """Where the page of all runs is written: beside the folders of the runs' pages, outside the graph."""
-    return project / "results" / "report" / "index.html"
+    size, dataset, features = (scalar(params, f"runs.{name}.{key}") for key in ("size", "dataset", "features"))
+    return Run(project, name, size, dataset, features)

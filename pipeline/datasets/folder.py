@@ -51,6 +51,26 @@ def read_folder(path: Path, config: FolderConfig) -> Iterator[Picture]:
     _require_all(path, counts)
 
 
+def list_categories(path: Path) -> set[str]:
+    """List the categories that have pictures in a folder or an archive, without reading them.
+
+    Raises DataError where there are none.
+    """
+    found: set[str] = set()
+
+    def note(name: PurePosixPath) -> bool:
+        category = name.parent
+        if name.suffix.lower() in ENDINGS and category.parent.name in SPLITS and not is_hidden(name):
+            found.add(category.name)
+        return False
+
+    for _ in read_tree(path, wanted=note):
+        pass
+    if not found:
+        raise _without_pictures(path)
+    return found
+
+
 def is_hidden(name: PurePath) -> bool:
     """Whether a path inside a folder is of those that systems put there for themselves."""
     return any(part.startswith((".", "__MACOSX")) for part in name.parts)
@@ -64,8 +84,12 @@ def _is_wanted(name: PurePosixPath) -> bool:
 def _require_all(path: Path, counts: Mapping[str, Counter[str]]) -> None:
     categories = sorted({category for group in counts.values() for category in group})
     if not categories:
-        raise DataError(f"{path} has no pictures at train/<category>/ and test/<category>/; arrange them so")
+        raise _without_pictures(path)
     for split in SPLITS:
         for category in categories:
             if not counts[split][category]:
                 raise DataError(f"{path} has no pictures in {split}/{category}/; expected at least one in each split")
+
+
+def _without_pictures(path: Path) -> DataError:
+    return DataError(f"{path} has no pictures at train/<category>/ and test/<category>/; arrange them so")

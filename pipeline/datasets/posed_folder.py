@@ -23,7 +23,8 @@ Angles = dict[str, tuple[float, ...]]
 def read_viewpoints(path: Path, names: Names) -> Truth:
     """Read the viewpoints of pictures from `poses.csv` above `train` and `test`.
 
-    Raises DataError for a table that is missing or cannot be read, and for a picture without a row in it.
+    Raises DataError for a table that is missing or cannot be read, for a picture without a row in it, and for one with
+    two.
     """
     angles = _read_angles(path)
     return {
@@ -59,11 +60,19 @@ def _text(where: str, content: bytes) -> str:
 
 
 def _parse(where: str, text: str) -> Angles:
-    rows = csv.DictReader(io.StringIO(text))
-    missing = [column for column in (FILE, *ANGLES) if column not in (rows.fieldnames or ())]
-    if missing:
-        raise DataError(f"{where} has no column {missing[0]}; expected {', '.join((FILE, *ANGLES))}")
-    return {row[FILE]: tuple(_radians(where, rows.line_num, row[column]) for column in ANGLES) for row in rows}
+    rows = csv.DictReader(io.StringIO(text, newline=None))  # lines may end as on any system
+    angles: Angles = {}
+    try:
+        missing = [column for column in (FILE, *ANGLES) if column not in (rows.fieldnames or ())]
+        if missing:
+            raise DataError(f"{where} has no column {missing[0]}; expected {', '.join((FILE, *ANGLES))}")
+        for row in rows:
+            if row[FILE] in angles:
+                raise DataError(f"{where}, line {rows.line_num}: {row[FILE]} has a row already; keep one of them")
+            angles[row[FILE]] = tuple(_radians(where, rows.line_num, row[column]) for column in ANGLES)
+    except csv.Error as error:
+        raise DataError(f"{where}, line {rows.line_num + 1} cannot be read ({error}); look for quotes") from None
+    return angles
 
 
 def _radians(where: str, line: int, text: str) -> float:

@@ -1,5 +1,6 @@
 """Turntables: animations that every browser and viewer plays."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +21,8 @@ def write_gif(path: Path, frames: Float[Tensor, "K 3 H W"], milliseconds: int) -
 
 
 def write_mp4(path: Path, frames: Float[Tensor, "K 3 H W"], milliseconds: int) -> None:
-    """Write a film in H.264, which browsers play, atomically; heights and widths are even.
-
-    Raises ConfigError where the extra `video`, which brings the encoder, is not installed.
-    """
-    try:
-        from imageio_ffmpeg import write_frames
-    except ImportError:
-        raise ConfigError(
-            "films need the encoder of imageio-ffmpeg; install it with `pip install 'kato3d[video]'`"
-        ) from None
+    """Write a film in H.264, which browsers play, atomically; heights and widths are even. Errors as in `encoder`."""
+    write_frames = encoder()
     pixels = np.ascontiguousarray(_pixels(frames))
     with atomic_path(path) as temporary:
         rate: Any = 1000 / milliseconds  # ffmpeg takes fractions, whatever the annotation says
@@ -38,6 +31,17 @@ def write_mp4(path: Path, frames: Float[Tensor, "K 3 H W"], milliseconds: int) -
         for frame in pixels:
             film.send(frame)
         film.close()
+
+
+def encoder() -> Callable[..., Any]:
+    """Import what writes films. Raises ConfigError where the extra `video`, which brings it, is not installed."""
+    try:
+        from imageio_ffmpeg import write_frames
+    except ImportError:
+        raise ConfigError(
+            "films need the encoder of imageio-ffmpeg; install it with `pip install 'kato3d[video]'`"
+        ) from None
+    return write_frames
 
 
 def _pixels(frames: Float[Tensor, "K 3 H W"]) -> UInt8[np.ndarray, "K H W 3"]:

@@ -6,6 +6,7 @@ import sys
 import tomllib
 from pathlib import Path
 
+from pipeline.rendering.compiled import KERNELS
 from tests.project.import_closure import ROOT, import_closure
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -55,3 +56,10 @@ def test_every_dependency_is_pinned() -> None:
     pinned = dict(line.lower().split("==") for line in (ROOT / "constraints.txt").read_text().splitlines()[1:])
     assert {name for group in requirements for name in _names(group)} <= set(pinned)
     assert pinned["torch"] == "2.13.0"
+
+
+def test_compiled_kernels_are_kept_apart_by_all_they_are_compiled_from() -> None:
+    modules = [path.stem for path in ROOT.glob("pipeline/rendering/*_cpu.py")]
+    used = {file for module in modules for file in import_closure(f"pipeline.rendering.{module}")}
+    bounds_of_settings = {"pipeline/ranges.py"}
+    assert {path.relative_to(ROOT).as_posix() for path in KERNELS} == used - bounds_of_settings

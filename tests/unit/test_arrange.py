@@ -1,6 +1,7 @@
 """A folder of photographs becomes what `prepare_data` reads."""
 
 import io
+import os
 from pathlib import Path
 
 import numpy as np
@@ -83,18 +84,34 @@ def grey_of_16_bits() -> bytes:
     return stream.getvalue()
 
 
+def fractions() -> bytes:
+    """Encode grey values between 0 and 1."""
+    stream = io.BytesIO()
+    Image.fromarray(np.full((40, 40), 0.5, dtype=np.float32)).save(stream, "TIFF")
+    return stream.getvalue()
+
+
 def test_what_cannot_be_used_is_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = {f"{number}.jpg": noise(number) for number in range(3)}
     files |= {"broken.jpg": noise(9)[:300], "small.png": picture(width=31), "a.CR2": b"", "b.cr2": b""}
+    files["depth.tif"] = fractions()
     photos, out = write_folder(tmp_path / "photos", files), tmp_path / "mine"
     main(["arrange", str(photos), "--category", "ship", "--out", str(out)])
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith(f"left out: {photos / 'broken.jpg'} cannot be read as a picture")
     assert said[1:] == [
+        f"left out: {photos / 'depth.tif'} has grey values that are fractions; expected 8 or 16 bits",
         f"left out: {photos / 'small.png'} is 31x32 px; expected at least 32 px along the short side",
         "passed over: 2 files that end in '.cr2'",
-        f"2 for training and 1 for testing written to {out}, 2 left out",
+        f"2 for training and 1 for testing written to {out}, 3 left out",
     ]
+
+
+def test_a_name_that_is_no_text_is_printed(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    photos = write_folder(tmp_path / "photos", {f"{number}.jpg": noise(number) for number in range(3)})
+    (photos / os.fsdecode(b"caf\xe9.jpg")).write_bytes(b"")
+    main(["arrange", str(photos), "--category", "ship", "--out", str(tmp_path / "mine")])
+    assert r"caf\udce9.jpg cannot be read as a picture" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,10 @@
 import base64
 import json
 import math
+import os
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -245,6 +248,38 @@ def test_what_is_wrong_is_one_sentence(
     assert not (project / "out").exists()
 
 
+def test_a_damaged_record_is_one_sentence(project: Path, tmp_path: Path) -> None:
+    (project / "out").mkdir()
+    (project / "out/reconstruct.json").touch()
+    with pytest.raises(SystemExit, match=r"^error: .*reconstruct\.json is damaged: it holds no JSON; remove it"):
+        reconstruct(project, str(tmp_path / "car.png"))
+
+
+def test_a_missing_encoder_is_said_before_anything_is_inferred(
+    project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(SystemExit, match=r"^error: films need the encoder of imageio-ffmpeg; install it with"):
+        reconstruct(project, str(tmp_path / "car.png"), "--outputs", "pose,video")
+    assert not (project / "out").exists()
+
+
+def test_a_photograph_that_is_named_twice_is_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "car.png").touch()
+    monkeypatch.chdir(tmp_path)
+    assert list_tasks([Path("car.png"), tmp_path / "car.png", tmp_path], Path("out")) == [
+        Task(Path("car.png"), Path("out/car"))
+    ]
+
+
+def test_a_name_that_is_no_text_becomes_one(project: Path, tmp_path: Path) -> None:
+    (tmp_path / "cars").mkdir()
+    shutil.copy(tmp_path / "car.png", tmp_path / "cars" / os.fsdecode(b"caf\xe9.png"))
+    written = reconstruct(project, str(tmp_path / "cars"))
+    assert {"caf_.glb", "caf_.obj", "caf__pose.json", "index.html"} <= set(written)
+    assert r"caf\udce9.png" in (project / "out/index.html").read_text(encoding="utf-8")
+
+
 def test_a_folder_that_cannot_be_written_is_said_before_anything_is_inferred(project: Path, tmp_path: Path) -> None:
     (project / "out").touch()
     with pytest.raises(SystemExit, match=r"^error: .*out.*(Not a directory|File exists); look at the path"):
@@ -327,6 +362,42 @@ def test_doctor_needs_no_runs(project: Path, capsys: pytest.CaptureFixture[str])
     YAML().dump(settings, params)
     main(["--project", str(project), "doctor"])
     assert "MISSING" not in capsys.readouterr().out
+
+
+def test_doctor_names_an_entry_that_is_no_section(project: Path) -> None:
+    params = project / "params.yaml"
+    whole = params.read_text()
+    for section, broken, words in (
+        ("runs", {"toybox-car": "toybox"}, "'runs.toybox-car' must be a section of keys and values, not 'toybox'"),
+        ("runs", {"toybox-car": {"size": "laptop", "dataset": "toybox"}}, "has no 'runs.toybox-car.features'"),
+        ("runs", ["toybox-car"], "'runs' must be a section of keys and values"),
+        ("datasets", {"toybox": None}, "'datasets.toybox' must be a section of keys and values, not None"),
+        ("datasets", {"toybox": {"kind": "toybox"}}, "has no 'datasets.toybox.source'"),
+    ):
+        YAML().dump(YAML().load(whole) | {section: broken}, params)
+        with pytest.raises(SystemExit, match=words):
+            main(["--project", str(project), "doctor"])
+
+
+@pytest.mark.parametrize("package", ["packaging", "pandas"])
+def test_doctor_sees_that_what_it_uses_itself_is_missing(project: Path, package: str) -> None:
+    code = f"""
+import sys
+sys.modules[{package!r}] = None  # importing it fails
+from pipeline.cli import doctor
+def version(name):
+    if name == {package!r}:
+        raise doctor.PackageNotFoundError
+    return real(name)
+real, doctor.version = doctor.version, version
+from pipeline.cli.__main__ import main
+main(["--project", {str(project)!r}, "doctor"])
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 1, done.stderr
+    assert done.stderr == ""
+    assert f"MISSING {package}: install it with" in done.stdout
+    assert "photographs of 'toybox'" in done.stdout
 
 
 def test_doctor_sees_that_meshlab_does_not_load(monkeypatch: pytest.MonkeyPatch) -> None:

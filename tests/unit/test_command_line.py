@@ -13,10 +13,10 @@ COMMON = ["stage", "--params", "params.yaml", "--sections", "stage", "sizes.lapt
 
 
 def test_arguments_are_typed(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sys, "argv", [*COMMON, "--test-images", "a.npy", "b.npy", "--seed", "3", "--out", "o"])
-    arguments = parse("Do it.", test_images=list[Path], seed=int, out=Path)
+    monkeypatch.setattr(sys, "argv", [*COMMON, "--test-images", "a.npy", "--seed", "3", "--out", "o"])
+    arguments = parse("Do it.", test_images=Path, seed=int, out=Path)
     assert arguments.sections == ["stage", "sizes.laptop.stage"]
-    assert arguments.test_images == [Path("a.npy"), Path("b.npy")]
+    assert arguments.test_images == Path("a.npy")
     assert (arguments.seed, arguments.out) == (3, Path("o"))
 
 

@@ -161,6 +161,7 @@ def test_files_that_are_no_parameters_are_named(tmp_path: Path) -> None:
         "broken": (b"a: [1", "is not valid YAML"),
         "latin": ("a: \u00fc".encode("latin-1"), "is not valid YAML"),
         "twice": (b"a: {b: 1, b: 2}", "is not valid YAML: 'b' stands twice"),
+        "list": (b"? [a, b]\n: 1", "is not valid YAML: a key is not a single value"),
         "empty": (b"", "must hold sections"),
     }
     for name, (content, words) in contents.items():

@@ -39,6 +39,16 @@ def test_viewpoints_stand_in_the_order_of_the_pictures(tmp_path: Path) -> None:
     np.testing.assert_allclose(read.pose.azimuth.rad2deg(), expected)
 
 
+def test_lines_may_end_as_on_any_system(tmp_path: Path) -> None:
+    names = {"train": {"car": ["1.jpg", "2.jpg"]}}
+    truths = []
+    for number, ending in enumerate((b"\n", b"\r\n", b"\r")):
+        source = write_folder(tmp_path / str(number), tree(**{"poses.csv": table().replace(b"\n", ending)}))
+        truths.append(read_viewpoints(source, names)["train"]["car"])
+    for truth in truths[1:]:
+        np.testing.assert_array_equal(truth.azimuth, truths[0].azimuth)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [
@@ -46,6 +56,8 @@ def test_viewpoints_stand_in_the_order_of_the_pictures(tmp_path: Path) -> None:
         (b"file,azimuth_deg,elevation_deg\n", r"poses\.csv has no column roll_deg; expected file, azimuth_deg"),
         (table("train,train/car/1.jpg,north,0,0"), r"poses\.csv, line 2: 'north' is not an angle in degrees"),
         (table("train,train/car/1.jpg,nan,0,0"), r"poses\.csv, line 2: 'nan' is not an angle in degrees"),
+        (table("train,train/car/2.jpg,0,0,0"), r"poses\.csv, line 3: train/car/2\.jpg has a row already; keep one"),
+        (table('"' + "x" * 200_000), r"poses\.csv, line 2 cannot be read \(field larger than field limit"),
         ("file,azimuth_deg,höhe".encode("latin-1"), r"poses\.csv is not text in UTF-8; save it as UTF-8"),
         (table("train,train/car/3.jpg,0,0,0"), r"poses\.csv has no row for train/car/1\.jpg; every picture needs one"),
     ],

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, UserError
 from stages.run_row import round_trip_yaml, turn_on, turn_on_baseline
 from tests.fresh_params import write_fresh_params
 from tests.pascal3d_tree import release
@@ -20,6 +20,13 @@ USUAL |= {"dataset": None, "category": None}
 @pytest.fixture
 def params(tmp_path: Path) -> Path:
     return write_fresh_params(tmp_path / "params.yaml")
+
+
+@pytest.fixture
+def photographs(tmp_path: Path) -> Path:
+    """Name pictures of some categories; turning a run on does not read them."""
+    categories = ("bus", "car", "cart", "cat", "cat-seed1", "old-car", "stall", "van")
+    return write_folder(tmp_path / "photographs", {f"train/{category}/1.jpg": b"" for category in categories})
 
 
 def _options(row: str, **unusual: object) -> Namespace:
@@ -77,34 +84,34 @@ def test_a_row_brings_its_dataset_features_and_run(params: Path, tmp_path: Path)
     assert all(line in lines for line in before), "a line was changed or moved"
 
 
-def test_a_given_network_gets_pictures_of_the_size_it_needs(params: Path, tmp_path: Path) -> None:
+def test_a_given_network_gets_pictures_of_the_size_it_needs(params: Path, tmp_path: Path, photographs: Path) -> None:
     weights = tmp_path / "squeezenet.npz"
     weights.touch()
-    given = {"dataset": "cars", "category": "car", "source": tmp_path, "features": weights}
+    given = {"dataset": "cars", "category": "car", "source": photographs, "features": weights}
     assert turn_on(params, _options("pascal-car", size="laptop-imagenet", **given)) == "cars-car-laptop-imagenet"
     before = params.read_bytes()
     document = YAML(typ="safe").load(params)
     assert document["datasets"]["cars"] == {
         "kind": "folder",
-        "source": str(tmp_path),
+        "source": str(photographs),
         "folder": {"size": 64, "fit": "pad"},
     }
     assert document["features"]["cars-laptop-imagenet"]["weights"] == str(weights)
-    for source in (tmp_path, None):
+    for source in (photographs, None):
         with pytest.raises(ConfigError, match="pictures of 'cars' are 64 px, but this run compares 32 px"):
             turn_on(params, _options("pascal-car", dataset="cars", category="car", source=source))
     assert params.read_bytes() == before
 
 
 @pytest.mark.parametrize(("row", "own"), [("pascal-car", {"folder": {"fit": "pad"}}), ("cifar10-automobile", {})])
-def test_photographs_cut_to_boxes_stay_whole(params: Path, tmp_path: Path, row: str, own: dict[str, object]) -> None:
-    turn_on(params, _options(row, dataset="cars", category="car", source=tmp_path))
-    expected = {"kind": "folder", "source": str(tmp_path), **own}
+def test_photographs_cut_to_boxes_stay_whole(params: Path, photographs: Path, row: str, own: dict[str, object]) -> None:
+    turn_on(params, _options(row, dataset="cars", category="car", source=photographs))
+    expected = {"kind": "folder", "source": str(photographs), **own}
     assert YAML(typ="safe").load(params)["datasets"]["cars"] == expected
 
 
-def test_photographs_that_were_cut_are_no_whole_ones(params: Path, tmp_path: Path) -> None:
-    given = {"dataset": "market", "source": tmp_path}
+def test_photographs_that_were_cut_are_no_whole_ones(params: Path, photographs: Path) -> None:
+    given = {"dataset": "market", "source": photographs}
     turn_on(params, _options("cifar10-automobile", category="cart", **given))
     before = params.read_bytes()
     with pytest.raises(ConfigError, match="pictures of 'market' are cut to a square, but this row wants them whole"):
@@ -112,18 +119,18 @@ def test_photographs_that_were_cut_are_no_whole_ones(params: Path, tmp_path: Pat
     assert params.read_bytes() == before
 
 
-def test_names_say_what_is_unusual(params: Path, tmp_path: Path) -> None:
+def test_names_say_what_is_unusual(params: Path, photographs: Path) -> None:
     unusual = {"size": "paper", "ablation": "no-symmetry", "seed": 2}
     assert turn_on(params, _options("toybox-car", **unusual)) == "toybox-car-paper-no-symmetry-seed2"
-    own = {"source": tmp_path, "dataset": "market", "category": "cart"}
+    own = {"source": photographs, "dataset": "market", "category": "cart"}
     assert turn_on(params, _options("cifar10-automobile", **own)) == "market-cart"
     document = YAML(typ="safe").load(params)
     assert document["runs"]["market-cart"]["row"] == "cifar10-automobile"
-    assert document["datasets"]["market"]["source"] == str(tmp_path)
+    assert document["datasets"]["market"]["source"] == str(photographs)
 
 
-def test_a_second_row_for_the_same_photographs_is_refused(params: Path, tmp_path: Path) -> None:
-    own = {"source": tmp_path, "dataset": "mine", "category": "cat"}
+def test_a_second_row_for_the_same_photographs_is_refused(params: Path, photographs: Path) -> None:
+    own = {"source": photographs, "dataset": "mine", "category": "cat"}
     turn_on(params, _options("toybox-horse", **own))
     before = params.read_bytes()
     with pytest.raises(ConfigError, match=r"base_shapes\.mine-cat is on with row toybox-horse, not toybox-chair;"):
@@ -139,9 +146,9 @@ def test_a_second_row_for_the_same_photographs_is_refused(params: Path, tmp_path
     ],
 )
 def test_two_runs_of_one_name_are_refused(
-    params: Path, tmp_path: Path, first: dict[str, object], second: dict[str, object], difference: str
+    params: Path, photographs: Path, first: dict[str, object], second: dict[str, object], difference: str
 ) -> None:
-    usual = {"source": tmp_path, "dataset": "mine", "category": "car"}
+    usual = {"source": photographs, "dataset": "mine", "category": "car"}
     turn_on(params, _options("toybox-car", **{**usual, **first}))
     before = params.read_bytes()
     with pytest.raises(ConfigError, match=f"is on with {difference}; name the same photographs differently"):
@@ -149,10 +156,10 @@ def test_two_runs_of_one_name_are_refused(
     assert params.read_bytes() == before
 
 
-def test_other_weights_for_features_that_are_on_are_refused(params: Path, tmp_path: Path) -> None:
+def test_other_weights_for_features_that_are_on_are_refused(params: Path, tmp_path: Path, photographs: Path) -> None:
     for name in ("a", "b"):
         (tmp_path / f"{name}.npz").touch()
-    given = {"dataset": "cars", "source": tmp_path, "size": "laptop-imagenet"}
+    given = {"dataset": "cars", "source": photographs, "size": "laptop-imagenet"}
     turn_on(params, _options("pascal-car", category="van", features=tmp_path / "a.npz", **given))
     before = params.read_bytes()
     with pytest.raises(ConfigError, match=r"features\.cars-laptop-imagenet is on with weights .*a\.npz, not .*b\.npz"):
@@ -226,14 +233,36 @@ def test_what_is_no_parameter_file_is_said(params: Path) -> None:
             "pictures of 'toybox' are 32 px, but this run compares 64 px",
         ),
         (_options("toybox-car", dataset="my.v2"), "DATASET='my.v2' has other characters than letters"),
-        (
-            _options("pascal-car", size="laptop-imagenet", dataset="cars", source=ROOT / "docs"),
-            "by a given network; name its weights with FEATURES=",
-        ),
+        (_options("cifar10-horse", source=ROOT / "docs"), "has no pictures at train/<category>/ and test/<category>/"),
     ],
 )
 def test_a_wrong_name_changes_nothing(params: Path, options: Namespace, words: str) -> None:
     before = params.read_bytes()
-    with pytest.raises(ConfigError, match=words):
+    with pytest.raises(UserError, match=words):
         turn_on(params, options)
+    assert params.read_bytes() == before
+
+
+def test_features_by_a_given_network_need_its_weights(params: Path, photographs: Path) -> None:
+    before = params.read_bytes()
+    with pytest.raises(ConfigError, match="by a given network; name its weights with FEATURES="):
+        turn_on(params, _options("pascal-car", size="laptop-imagenet", dataset="cars", source=photographs))
+    assert params.read_bytes() == before
+
+
+@pytest.mark.parametrize(("source", "known"), [("folder", "horse"), ("tar", "horse"), ("cifar10", "truck")])
+def test_a_category_that_the_photographs_have_not_changes_nothing(
+    params: Path, tmp_path: Path, source: str, known: str
+) -> None:
+    before = params.read_bytes()
+    match source:
+        case "folder":
+            path = write_folder(tmp_path / "photographs", tree())
+        case "tar":
+            path = write_tar(tmp_path / "photographs.tar", tree())
+        case _:
+            path = tmp_path / "cifar-10-python.tar.gz"
+            path.touch()
+    with pytest.raises(ConfigError, match=f"'cifar10' has no category '{known}s'; did you mean '{known}'"):
+        turn_on(params, _options("cifar10-horse", category=f"{known}s", source=path))
     assert params.read_bytes() == before
