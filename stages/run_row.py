@@ -12,11 +12,8 @@ from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
 
 from pipeline.config import load, nearest, scalar
-from pipeline.datasets import cifar10
-from pipeline.datasets.folder import list_categories
-from pipeline.datasets.pascal3d import has_annotations
-from pipeline.datasets.posed_folder import has_table
 from pipeline.datasets.prepared import is_plain
+from pipeline.datasets.survey import Contents, survey
 from pipeline.datasets.toybox import toybox
 from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
@@ -26,7 +23,6 @@ from stages.command_line import run
 PARAMS = Path("params.yaml")
 BASELINES = ("hologan", "colmap")
 SWITCHES = ("datasets", "features", "base_shapes", "runs", *BASELINES)
-OFFICIAL_CIFAR10 = "cifar-10-"
 CIFAR10_SIZE = 32
 EMBEDDED = "toybox"
 
@@ -76,8 +72,9 @@ def turn_on(path: Path, options: Namespace) -> str:
     if dataset == EMBEDDED and options.source is not None:
         raise ConfigError(f"'{EMBEDDED}' is the embedded data set and has no SOURCE=; name yours with DATASET=")
     sections = ("learn_base_shape", f"rows.{options.row}.learn_base_shape", f"sizes.{options.size}.learn_base_shape")
-    _turn_on_dataset(document, dataset, options.source, load(path, BaseShapeConfig, sections))
-    _require(category, _categories(document, dataset), f"'{dataset}' has no category")
+    contents = None if options.source is None else survey(_existing("SOURCE", options.source))
+    _turn_on_dataset(document, dataset, contents, load(path, BaseShapeConfig, sections))
+    _require_category(document, dataset, category, contents)
     features = f"{dataset}-{options.size}"
     _turn_on_features(document, features, {"dataset": dataset, "size": options.size, "seed": 0}, options.features)
     own = (dataset, category) != (row["dataset"], row["category"])
@@ -142,12 +139,11 @@ def _put(entries: CommentedMap, name: str, entry: dict[str, Any]) -> None:
         entries.insert(0, name, entry)
 
 
-def _turn_on_dataset(document: CommentedMap, name: str, source: Path | None, config: BaseShapeConfig) -> None:
+def _turn_on_dataset(document: CommentedMap, name: str, contents: Contents | None, config: BaseShapeConfig) -> None:
     datasets = document["datasets"]
     is_new, entry = name not in datasets, dict(datasets.get(name, {}))
-    if source is not None:
-        source = _existing("SOURCE", source)
-        entry |= {"kind": _kind(source), "source": str(source)}
+    if contents is not None:
+        entry |= {"kind": contents.kind, "source": str(contents.path)}
     elif is_new:
         raise ConfigError(f"no photographs of '{name}' yet; name their folder or archive with SOURCE=")
     kind, size = entry["kind"], config.renderer.size
@@ -170,18 +166,20 @@ def _turn_on_dataset(document: CommentedMap, name: str, source: Path | None, con
     _put(datasets, name, entry)
 
 
-def _categories(document: CommentedMap, dataset: str) -> Collection[str]:
-    """List a dataset's categories without reading its pictures."""
+def _require_category(document: CommentedMap, dataset: str, category: str, contents: Contents | None) -> None:
+    """Refuse a category that a dataset has not. One that is on is not looked for again: archives take a while."""
+    on = {(run["dataset"], run["category"]) for run in document["runs"].values()}
+    if contents is None and (dataset, category) in on:
+        return
     entry = document["datasets"][dataset]
     match entry["kind"]:
         case "toybox":
-            return toybox.CATEGORIES
-        case "cifar10":
-            return cifar10.CATEGORIES
+            known = toybox.CATEGORIES
         case "pascal3d":
-            return {**document["prepare_data"]["pascal3d"], **entry.get("pascal3d", {})}["categories"]
+            known = {**document["prepare_data"]["pascal3d"], **entry.get("pascal3d", {})}["categories"]
         case _:
-            return list_categories(Path(entry["source"]))
+            known = (contents or survey(Path(entry["source"]))).categories
+    _require(category, known, f"'{dataset}' has no category")
 
 
 def _picture_size(kind: str, settings: dict[str, Any]) -> int:
@@ -210,14 +208,6 @@ def _existing(option: str, path: Path) -> Path:
     if not path.exists():
         raise ConfigError(f"{option}={path} does not exist; name a file or a folder that does")
     return path
-
-
-def _kind(source: Path) -> str:
-    if source.is_file() and source.name.startswith(OFFICIAL_CIFAR10):
-        return "cifar10"
-    if has_annotations(source):
-        return "pascal3d"
-    return "posed_folder" if has_table(source) else "folder"
 
 
 def _require_plain(option: str, name: str) -> None:

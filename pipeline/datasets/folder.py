@@ -51,24 +51,11 @@ def read_folder(path: Path, config: FolderConfig) -> Iterator[Picture]:
     _require_all(path, counts)
 
 
-def list_categories(path: Path) -> set[str]:
-    """List the categories that have pictures in a folder or an archive, without reading them.
-
-    Raises DataError where there are none.
-    """
-    found: set[str] = set()
-
-    def note(name: PurePosixPath) -> bool:
-        category = name.parent
-        if name.suffix.lower() in ENDINGS and category.parent.name in SPLITS and not is_hidden(name):
-            found.add(category.name)
-        return False
-
-    for _ in read_tree(path, wanted=note):
-        pass
-    if not found:
-        raise _without_pictures(path)
-    return found
+def category_of(name: PurePosixPath) -> str | None:
+    """Return the category whose picture a path inside the source names; None for any other path."""
+    folder = name.parent
+    is_picture = name.suffix.lower() in ENDINGS and folder.parent.name in SPLITS and not is_hidden(name)
+    return folder.name if is_picture else None
 
 
 def is_hidden(name: PurePath) -> bool:
@@ -84,12 +71,13 @@ def _is_wanted(name: PurePosixPath) -> bool:
 def _require_all(path: Path, counts: Mapping[str, Counter[str]]) -> None:
     categories = sorted({category for group in counts.values() for category in group})
     if not categories:
-        raise _without_pictures(path)
+        raise without_pictures(path)
     for split in SPLITS:
         for category in categories:
             if not counts[split][category]:
                 raise DataError(f"{path} has no pictures in {split}/{category}/; expected at least one in each split")
 
 
-def _without_pictures(path: Path) -> DataError:
+def without_pictures(path: Path) -> DataError:
+    """Say what a source without pictures should look like."""
     return DataError(f"{path} has no pictures at train/<category>/ and test/<category>/; arrange them so")

@@ -75,11 +75,6 @@ def read_pascal3d(path: Path, config: Pascal3dConfig) -> Dataset:
     return Dataset(images, truth)
 
 
-def has_annotations(path: Path) -> bool:
-    """Whether a folder or an archive holds annotations of PASCAL3D+."""
-    return any(True for _ in read_tree(path, lambda name: name.match(ANNOTATIONS)))
-
-
 def _read_texts(path: Path, categories: Sequence[str]) -> Texts:
     patterns = [*VOC_LISTS.values(), *(pattern for category in categories for pattern in _imagenet_lists(category))]
     objects: dict[Key, Sequence[AnnotatedObject]] = {}

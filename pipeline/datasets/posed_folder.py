@@ -36,11 +36,6 @@ def read_viewpoints(path: Path, names: Names) -> Truth:
     }
 
 
-def has_table(path: Path) -> bool:
-    """Whether a folder or an archive holds viewpoints of its pictures."""
-    return any(True for _ in read_tree(path, _is_table))
-
-
 def _is_table(name: PurePosixPath) -> bool:
     return name.name == TABLE
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import torch
 
-from pipeline.datasets.pascal3d import Pascal3dConfig, has_annotations, read_pascal3d
+from pipeline.datasets.pascal3d import Pascal3dConfig, read_pascal3d
 from pipeline.datasets.prepared import write_images, write_truth
 from pipeline.errors import DataError
 from pipeline.evaluation.artifacts import load_true_split
 from pipeline.geometry.camera import CameraConfig, Pose, project
 from tests.pascal3d_tree import VOC, annotation, car, photograph, release, viewpoint
-from tests.picture_trees import tree, write_folder, write_tar, write_zip
+from tests.picture_trees import write_folder, write_tar, write_zip
 
 CONFIG = Pascal3dConfig(size=64, categories=("car",))
 BOX = (11.0, 21.0, 50.4, 40.0)
@@ -24,7 +24,6 @@ def test_whole_visible_objects_are_taken_and_split(tmp_path: Path, form: str) ->
     files = {f"PASCAL3D+_release1.1/{name}": content for name, content in release().items()}
     write = {"folder": write_folder, "zip": write_zip, "tar.gz": write_tar}[form]
     source = write(tmp_path / f"release.{form}", dict(reversed(files.items())))
-    assert has_annotations(source)
     dataset = read_pascal3d(source, CONFIG)
     truth = {split: group["car"] for split, group in dataset.truth.items()}
     assert {split: np.degrees(found.azimuth).round(4).tolist() for split, found in truth.items()} == {
@@ -171,8 +170,3 @@ def test_a_box_that_reaches_over_the_border_ends_there(tmp_path: Path) -> None:
     images = read_pascal3d(write_folder(tmp_path, files), CONFIG).images["test"]["car"]
     assert images[0, 32, 0, 0] < 6
     assert images[0, 32, -1, 0] == pytest.approx(3 * 79, abs=6)
-
-
-def test_other_sources_have_no_annotations(tmp_path: Path) -> None:
-    assert not has_annotations(write_folder(tmp_path / "pictures", tree()))
-    assert not has_annotations(write_tar(tmp_path / "pictures.tar", tree()))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pipeline.datasets.folder import FolderConfig, read_folder
-from pipeline.datasets.posed_folder import has_table, read_viewpoints
+from pipeline.datasets.posed_folder import read_viewpoints
 from pipeline.datasets.prepared import write_pictures, write_truth
 from pipeline.datasets.truth import Viewpoints
 from pipeline.errors import DataError
@@ -66,11 +66,3 @@ def test_a_bad_table_is_one_sentence(tmp_path: Path, content: bytes | None, mess
     source = write_folder(tmp_path, tree(**{"poses.csv": content}))
     with pytest.raises(DataError, match=message):
         read_viewpoints(source, {"train": {"car": ["1.jpg"]}})
-
-
-def test_the_table_tells_the_kind_of_a_source(tmp_path: Path) -> None:
-    assert has_table(write_folder(tmp_path / "posed", {**tree(), "poses.csv": table()}))
-    assert has_table(write_tar(tmp_path / "posed.tar", {**tree(), "poses.csv": table()}))
-    deep = {f"release/{name}": content for name, content in {**tree(), "poses.csv": table()}.items()}
-    assert has_table(write_folder(tmp_path / "deep", deep))
-    assert not has_table(write_folder(tmp_path / "plain", tree()))

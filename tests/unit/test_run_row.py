@@ -197,6 +197,18 @@ def test_a_baseline_can_be_turned_on_again(params: Path) -> None:
     assert list(YAML(typ="safe").load(params)["hologan"]) == ["toybox-car-seed1"]
 
 
+def test_a_category_that_is_on_is_not_looked_for_again(params: Path, photographs: Path) -> None:
+    given = {"dataset": "market", "category": "cart"}
+    turn_on(params, _options("cifar10-automobile", source=photographs, **given))
+    (photographs / "train/cart/1.jpg").unlink()
+    assert turn_on(params, _options("cifar10-automobile", seed=1, **given)) == "market-cart-seed1"
+    given["category"] = "stall"
+    turn_on(params, _options("cifar10-automobile", **given))
+    given["category"] = "stalls"
+    with pytest.raises(ConfigError, match="'market' has no category 'stalls'; did you mean 'stall'"):
+        turn_on(params, _options("cifar10-automobile", **given))
+
+
 def test_the_official_archive_is_known_by_its_name(params: Path, tmp_path: Path) -> None:
     archive = tmp_path / "cifar-10-python.tar.gz"
     archive.touch()

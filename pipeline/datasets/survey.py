@@ -1,0 +1,53 @@
+"""What a folder or an archive of photographs is, told by names alone."""
+
+from pathlib import Path, PurePosixPath
+from typing import Literal, NamedTuple
+
+from tqdm import tqdm
+
+from pipeline.datasets import cifar10, pascal3d, posed_folder
+from pipeline.datasets.archives import read_tree
+from pipeline.datasets.folder import category_of, without_pictures
+
+OFFICIAL_CIFAR10 = "cifar-10-"
+
+
+class Contents(NamedTuple):
+    """What a source holds.
+
+    Attributes:
+        path: of the source.
+        kind: how `prepare_data` reads it.
+        categories: those that have pictures; empty for PASCAL3D+, of which parameters name those that are read.
+    """
+
+    path: Path
+    kind: Literal["cifar10", "folder", "posed_folder", "pascal3d"]
+    categories: frozenset[str]
+
+
+def survey(path: Path) -> Contents:
+    """Look at the names of all files once, and read none.
+
+    Raises DataError for a source that is damaged and, unless it is CIFAR-10 or PASCAL3D+, for one without categories.
+    """
+    if path.is_file() and path.name.startswith(OFFICIAL_CIFAR10):
+        return Contents(path, "cifar10", frozenset(cifar10.CATEGORIES))
+    names = {"annotations": False, "table": False}
+    categories: set[str] = set()
+    with tqdm(desc=f"looking through {path.name}", unit="", delay=1, disable=None) as progress:
+
+        def note(name: PurePosixPath) -> bool:
+            names["annotations"] |= name.match(pascal3d.ANNOTATIONS)
+            names["table"] |= name.name == posed_folder.TABLE
+            categories.update(filter(None, [category_of(name)]))
+            progress.update()
+            return False
+
+        for _ in read_tree(path, wanted=note):
+            pass
+    if names["annotations"]:
+        return Contents(path, "pascal3d", frozenset())
+    if not categories:
+        raise without_pictures(path)
+    return Contents(path, "posed_folder" if names["table"] else "folder", frozenset(categories))

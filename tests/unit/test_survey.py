@@ -1,0 +1,62 @@
+"""A source is known by the names of its files."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import pytest
+
+from pipeline.datasets.survey import survey
+from pipeline.errors import DataError
+from tests.pascal3d_tree import release
+from tests.picture_trees import tree, write_folder, write_tar, write_zip
+
+OTHERS = ("train/bus/notes.txt", "train/.van/1.jpg", "other/ship/1.jpg")
+WRITERS = {"folder": write_folder, "zip": write_zip, "tar.gz": write_tar}
+
+
+def write(path: Path, form: str, files: Mapping[str, bytes]) -> Path:
+    """Write files in a form, below a folder of their own."""
+    return WRITERS[form](path / f"source.{form}", {f"release/{name}": content for name, content in files.items()})
+
+
+@pytest.mark.parametrize("form", WRITERS)
+@pytest.mark.parametrize(
+    ("files", "kind", "categories"),
+    [
+        (tree(), "folder", {"car", "horse"}),
+        (tree(**{"poses.csv": b""}), "posed_folder", {"car", "horse"}),
+        (release(), "pascal3d", set()),
+        (
+            tree(**{"train/bus/notes.txt": b"", "train/.van/1.jpg": b"", "other/ship/1.jpg": b""}),
+            "folder",
+            {"car", "horse"},
+        ),
+        ({"test/ship/1.HEIC": b""}, "folder", {"ship"}),
+    ],
+)
+def test_names_tell_kind_and_categories(
+    tmp_path: Path, form: str, files: Mapping[str, bytes], kind: str, categories: set[str]
+) -> None:
+    path = write(tmp_path, form, files)
+    assert survey(path) == (path, kind, categories)
+
+
+def test_the_official_cifar10_is_not_opened(tmp_path: Path) -> None:
+    path = tmp_path / "cifar-10-python.tar.gz"
+    path.touch()
+    assert survey(path).kind == "cifar10"
+    assert {"automobile", "horse"} < survey(path).categories
+
+
+@pytest.mark.parametrize("form", WRITERS)
+def test_a_source_without_categories_is_refused(tmp_path: Path, form: str) -> None:
+    path = write(tmp_path, form, {"cars/1.jpg": b""})
+    with pytest.raises(DataError, match="has no pictures at train/<category>/ and test/<category>/; arrange them so"):
+        survey(path)
+
+
+def test_a_damaged_archive_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, "tar.gz", tree())
+    path.write_bytes(path.read_bytes()[:-100])
+    with pytest.raises(DataError, match=r"source\.tar\.gz is not a complete tar or zip archive"):
+        survey(path)
