@@ -2,7 +2,7 @@
 
 import difflib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
@@ -52,7 +52,7 @@ def load(path: Path, config_class: type[Config], sections: Sequence[str]) -> Con
     document = _read(path)
     merged: dict[str, Any] = {}
     for section in sections:
-        merged = _merge(merged, _mark(_section(document, section, path), section))
+        merged = merge(merged, _mark(_section(document, section, path), section))
     return _build(config_class, merged, sections[0], path)
 
 
@@ -111,11 +111,12 @@ def _mark(value: Any, key: str) -> Any:
     return _Leaf(value, key)
 
 
-def _merge(base: dict[str, Any], overrides: dict[str, Any]) -> dict[str, Any]:
+def merge(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a section with the values that another names, at any depth, replaced by its."""
     merged = dict(base)
     for name, value in overrides.items():
         both_sections = isinstance(value, dict) and isinstance(base.get(name), dict)
-        merged[name] = _merge(base[name], value) if both_sections else value
+        merged[name] = merge(base[name], value) if both_sections else value
     return merged
 
 

@@ -22,7 +22,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside `path` that becomes `path` when the block ends without an error.
 
     The block creates a file or a directory there. After an error, `path` is as it was before, and after a kill too, but
-    for a directory that was just being replaced, which is missing then. What an earlier kill left is removed first.
+    for a directory that was just being replaced, which is missing then. What an earlier kill left is removed first. A
+    link at `path` is replaced, and what it points to stays.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".partial-{path.name}")
@@ -124,7 +125,7 @@ def _files(folder: Path) -> list[Path]:
 
 
 def _remove(path: Path) -> None:
-    if path.is_dir():
+    if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
         path.unlink(missing_ok=True)

@@ -4,14 +4,19 @@ import os
 import re
 import sys
 from argparse import ArgumentParser, Namespace
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
 from ruamel.yaml.comments import CommentedMap
+from ruamel.yaml.nodes import ScalarNode as RoundTripNode
+from ruamel.yaml.representer import RoundTripRepresenter
+from yaml.nodes import ScalarNode
+from yaml.resolver import Resolver
 
-from pipeline.config import load, nearest, scalar
+from pipeline.config import load, merge, nearest, scalar
+from pipeline.datasets import cifar10
 from pipeline.datasets.prepared import is_plain
 from pipeline.datasets.survey import Contents, survey
 from pipeline.datasets.toybox import toybox
@@ -52,10 +57,12 @@ def turn_on(path: Path, options: Namespace) -> str:
     """Add the run that the options describe to the file, keeping its comments, and return the run's name.
 
     The name leaves out what is usual: laptop size, no ablation, seed 0, the row's own photographs. A run whose ablation
-    leaves base shapes as they are shares the base shape of the run without ablation. Raises ConfigError for a row, size
-    or ablation that does not exist, for names that are not plain, for a dataset whose source is not known, that has no
-    such category or whose pictures have another size, for features whose weights are not known, and for a run, a base
-    shape or features of that name that are on with other settings.
+    leaves base shapes as they are shares the base shape of the run without ablation.
+
+    Raises ConfigError for a row, size or ablation that does not exist, for an ablation that would shorten the size's
+    training, for names that are not plain, for a dataset whose source is not known, that lacks this category or another
+    that is learned from it, or whose pictures have another size, for features whose weights are not known, and for a
+    run, a base shape or features of that name that are on with other settings.
     """
     for section in (*SWITCHES, "rows", "sizes", "ablations"):
         scalar(path, section)
@@ -65,6 +72,7 @@ def turn_on(path: Path, options: Namespace) -> str:
         document[section] = document[section] or CommentedMap()  # after the only entry was removed
     for kind, name in (("rows", options.row), ("sizes", options.size), ("ablations", options.ablation)):
         _require(name, document[kind], f"{path}: {kind} has no")
+    _require_no_shorter(document, options)
     row = document["rows"][options.row]
     dataset, category = options.dataset or row["dataset"], options.category or row["category"]
     _require_plain("DATASET", dataset)
@@ -110,6 +118,17 @@ def _require_same(entry: dict[str, Any], wanted: dict[str, Any], key: str) -> No
             )
 
 
+def _require_no_shorter(document: CommentedMap, options: Namespace) -> None:
+    """Refuse an ablation with a number of iterations that a larger size's training exceeds."""
+    usual = merge(document["train_full"], document["sizes"][options.size]["train_full"])["iterations"]
+    iterations = document["ablations"][options.ablation]["train_full"].get("iterations", usual)
+    if iterations < usual:
+        raise ConfigError(
+            f"ablation '{options.ablation}' trains for {iterations} iterations, fewer than the {usual} of size "
+            f"'{options.size}'; leave one of the two out"
+        )
+
+
 def turn_on_baseline(path: Path, baseline: str, run: str) -> None:
     """Add the baseline beside a run that is on, with the settings of the run that it shares."""
     yaml = round_trip_yaml()
@@ -125,10 +144,17 @@ def round_trip_yaml() -> YAML:
     """Return a reader and writer of params.yaml that keeps comments, order and layout."""
     yaml = YAML()
     yaml.width = 4096  # no line is broken
+    yaml.representer.add_representer(str, _represent_text)
     yaml.representer.add_representer(
         type(None), lambda representer, _: representer.represent_scalar("tag:yaml.org,2002:null", "null")
     )
     return yaml
+
+
+def _represent_text(representer: RoundTripRepresenter, text: str) -> RoundTripNode:
+    """Quote what YAML 1.1, which `pipeline.config` reads, takes for something else than text, such as `on`."""
+    tag = Resolver().resolve(ScalarNode, text, (True, False))
+    return representer.represent_scalar("tag:yaml.org,2002:str", text, style=None if tag.endswith(":str") else "'")
 
 
 def _put(entries: CommentedMap, name: str, entry: dict[str, Any]) -> None:
@@ -146,8 +172,10 @@ def _turn_on_dataset(document: CommentedMap, name: str, contents: Contents | Non
         entry |= {"kind": contents.kind, "source": str(contents.path)}
     elif is_new:
         raise ConfigError(f"no photographs of '{name}' yet; name their folder or archive with SOURCE=")
+    if contents is not None and not is_new and entry != datasets[name]:
+        _require_what_is_learned(document, name, entry, contents)
     kind, size = entry["kind"], config.renderer.size
-    settings = {**document["prepare_data"][kind], **entry.get(kind, {})}
+    settings = _settings(document, entry)
     wanted = {"size": size} | ({"fit": "pad"} if config.framing == "box" else {})
     if own := {key: value for key, value in wanted.items() if is_new and settings.get(key, value) != value}:
         entry[kind] = own
@@ -166,20 +194,44 @@ def _turn_on_dataset(document: CommentedMap, name: str, contents: Contents | Non
     _put(datasets, name, entry)
 
 
+def _require_what_is_learned(
+    document: CommentedMap, dataset: str, entry: Mapping[str, Any], contents: Contents
+) -> None:
+    """Refuse to replace a dataset's photographs by others that lack a category which is learned from it."""
+    known = _categories(document, entry, contents)
+    for section in ("runs", "base_shapes", *BASELINES):
+        for name, settings in document[section].items():
+            if settings["dataset"] == dataset and settings["category"] not in known:
+                raise ConfigError(
+                    f"{section}.{name} learns '{settings['category']}' of '{dataset}', but SOURCE={contents.path} has "
+                    "no such category; name a second dataset with DATASET="
+                )
+
+
 def _require_category(document: CommentedMap, dataset: str, category: str, contents: Contents | None) -> None:
     """Refuse a category that a dataset has not. One that is on is not looked for again: archives take a while."""
     on = {(run["dataset"], run["category"]) for run in document["runs"].values()}
     if contents is None and (dataset, category) in on:
         return
-    entry = document["datasets"][dataset]
+    known = _categories(document, document["datasets"][dataset], contents)
+    _require(category, known, f"'{dataset}' has no category")
+
+
+def _categories(document: CommentedMap, entry: Mapping[str, Any], contents: Contents | None) -> Collection[str]:
     match entry["kind"]:
         case "toybox":
-            known = toybox.CATEGORIES
+            return toybox.CATEGORIES
+        case "cifar10":
+            return cifar10.CATEGORIES
         case "pascal3d":
-            known = {**document["prepare_data"]["pascal3d"], **entry.get("pascal3d", {})}["categories"]
+            return _settings(document, entry)["categories"]
         case _:
-            known = (contents or survey(Path(entry["source"]))).categories
-    _require(category, known, f"'{dataset}' has no category")
+            return (contents or survey(Path(entry["source"]))).categories
+
+
+def _settings(document: CommentedMap, entry: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what becomes of a dataset's pictures."""
+    return merge(document["prepare_data"][entry["kind"]], entry.get(entry["kind"], {}))
 
 
 def _picture_size(kind: str, settings: dict[str, Any]) -> int:

@@ -10,9 +10,9 @@ import numpy as np
 from PIL import Image, ImageOps
 from tqdm import tqdm
 
-from pipeline.cli.photographs import find_photographs
+from pipeline.cli.photographs import find_photographs, visible_files
 from pipeline.datasets.decoding import reading
-from pipeline.datasets.folder import ENDINGS, is_hidden
+from pipeline.datasets.folder import ENDINGS
 from pipeline.datasets.prepared import is_plain
 from pipeline.errors import DataError
 from pipeline.files import atomic_path
@@ -20,6 +20,8 @@ from pipeline.files import atomic_path
 TEST_EVERY = 10
 LONGEST = 1024
 """Pixels along the longer side of what is written: far more than any run looks at."""
+LIMIT = 65500
+"""Pixels along a side that JPEG holds, as it is commonly written."""
 
 
 class Arranged(NamedTuple):
@@ -40,9 +42,9 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
     """Write the photographs below a folder as `train/<category>/*.jpg` and, every tenth, `test/<category>/*.jpg`.
 
     They are turned upright, become RGB, on white where they are transparent, and are made smaller until their long side
-    is 1024 px or their short side `least_side`. Those that cannot be read, or whose short side is below `least_side`
-    pixels, are left out. Raises DataError for an `out` that exists or is inside of the folder, and where
-    fewer than two photographs are left.
+    is 1024 px or their short side `least_side`. Those that cannot be read, whose short side is below `least_side`, or
+    that would still be longer than a JPEG can be, are left out. Raises DataError for an `out` that exists or is inside
+    of the folder, for a folder in it that is a link, and where fewer than two photographs are left.
     """
     if not is_plain(category):
         raise DataError(f"the category is '{category}'; expected a name of letters, digits, _ and - (a to z)")
@@ -67,8 +69,8 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
             counts[split] += 1
         if not counts["train"]:
             raise DataError(f"{folder} has {counts['test']} photographs that can be used; expected at least 2")
-    files = (path for path in folder.rglob("*") if path.is_file() and not is_hidden(path.relative_to(folder)))
-    passed_over = Counter(path.suffix.lower() for path in files if path.suffix.lower() not in ENDINGS)
+    endings = Counter(path.suffix.lower() for path in visible_files(folder))
+    passed_over = {ending: count for ending, count in endings.items() if ending not in ENDINGS}
     return Arranged(counts["train"], counts["test"], left_out, passed_over)
 
 
@@ -79,19 +81,25 @@ def _upright(path: Path, least_side: int) -> Image.Image:
     if min(picture.size) < least_side:
         size = f"{picture.width}x{picture.height}"
         raise DataError(f"{path} is {size} px; expected at least {least_side} px along the short side")
+    picture = _eight_bits(picture, path)
     if picture.has_transparency_data:
         picture = picture.convert("RGBA")
         picture = Image.alpha_composite(Image.new("RGBA", picture.size, "white"), picture)
-    return _smaller(_eight_bits(picture, path).convert("RGB"), least_side)
+    picture = _smaller(picture.convert("RGB"), least_side)
+    if max(picture.size) > LIMIT:
+        raise DataError(f"{path} would be written {picture.width}x{picture.height} px; expected at most {LIMIT} px")
+    return picture
 
 
 def _eight_bits(picture: Image.Image, path: Path) -> Image.Image:
-    """Bring grey values of 16 bits to 8, which PIL would cut off at 255; the range of fractions is not known."""
+    """Bring grey values of 16 bits to 8, which PIL would cut off at 255, and a transparent one to white."""
     if picture.mode == "F":
-        raise DataError(f"{path} has grey values that are fractions; expected 8 or 16 bits")
+        raise DataError(f"{path} has grey values that are fractions; expected 8 or 16 bits")  # their range is not known
     if not picture.mode.startswith("I"):
         return picture
-    return Image.fromarray((np.asarray(picture).clip(0, 65535) / 257).round().astype(np.uint8))
+    grey = np.asarray(picture)
+    grey = np.where(grey == picture.info.get("transparency"), 65535, grey)
+    return Image.fromarray((grey.clip(0, 65535) / 257).round().astype(np.uint8))
 
 
 def _smaller(picture: Image.Image, least_side: int) -> Image.Image:

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from pipeline.datasets.archives import walk
 from pipeline.datasets.folder import ENDINGS, is_hidden
 from pipeline.errors import DataError
 
@@ -36,16 +37,20 @@ class Task(NamedTuple):
 def find_photographs(folder: Path, without: Path | None = None) -> list[Path]:
     """List the photographs below a folder by name, without hidden ones and those below another folder.
 
-    Raises DataError where there is no folder, and where it has none.
+    Raises DataError where there is no folder, where it has none, and for a folder in it that is a link.
     """
     if not folder.is_dir():
         raise DataError(f"{folder} does not exist; give the path of a photograph or of a folder of photographs")
-    files = (file for file in folder.rglob("*") if not is_hidden(file.relative_to(folder)))
-    images = (file for file in files if file.suffix.lower() in ENDINGS and file.is_file())
+    images = (file for file in visible_files(folder) if file.suffix.lower() in ENDINGS)
     found = sorted(file for file in images if without is None or without not in file.resolve().parents)
     if not found:
         raise DataError(f"{folder} holds no photographs ({' '.join(sorted(ENDINGS))}); give another folder")
     return found
+
+
+def visible_files(folder: Path) -> Iterator[Path]:
+    """Yield the files below a folder that are not hidden. Raises DataError for a folder in it that is a link."""
+    return (path for path in walk(folder) if path.is_file() and not is_hidden(path.relative_to(folder)))
 
 
 def list_tasks(paths: Sequence[Path], out: Path) -> list[Task]:
@@ -54,7 +59,8 @@ def list_tasks(paths: Sequence[Path], out: Path) -> list[Task]:
     Where `out` is a folder inside one of photographs, what lies in it is left out, so that a call can be repeated. A
     photograph that is named twice is listed once.
 
-    Raises DataError for a path that does not exist, a folder without photographs, and two photographs of one name.
+    Raises DataError for a path that does not exist, a folder without photographs, two photographs of one name, and an
+    `out` that is the photographs' own folder, in which nothing would tell them from what is written.
     """
     tasks: dict[Path, Task] = {}
     for task in (task for path in paths for task in _tasks(path, out)):
@@ -66,6 +72,9 @@ def list_tasks(paths: Sequence[Path], out: Path) -> list[Task]:
 
 
 def _tasks(path: Path, out: Path) -> Iterator[Task]:
+    folder = path.parent if path.is_file() else path
+    if out.resolve() == folder.resolve():
+        raise DataError(f"{out} is the folder of the photographs; name another for what is written, such as meshes")
     if path.is_file():
         yield Task(path, out / _plain(path.name))
         return

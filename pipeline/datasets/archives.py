@@ -52,7 +52,10 @@ def read_tree(path: Path, wanted: Wanted = lambda _: True) -> Iterator[Entry]:
     the names of one folder, or the table of a zip; a tar takes no memory that grows with its length.
     """
     if path.is_dir():
-        yield from _read_folder(path, PurePosixPath(), wanted)
+        for entry in walk(path):
+            name = PurePosixPath(entry.relative_to(path))
+            if wanted(name):
+                yield Entry(name, entry.read_bytes() if entry.is_file() else None)
         return
     if not path.is_file():
         raise DataError(f"{path} does not exist; expected a folder or a tar or zip archive")
@@ -63,17 +66,17 @@ def read_tree(path: Path, wanted: Wanted = lambda _: True) -> Iterator[Entry]:
         raise DataError(f"{path} is not a complete tar or zip archive ({error}); download or copy it again") from None
 
 
-def _read_folder(path: Path, above: PurePosixPath, wanted: Wanted) -> Iterator[Entry]:
-    with os.scandir(path) as found:
+def walk(folder: Path) -> Iterator[Path]:
+    """Yield the paths of all files and folders below a folder, by name. Raises DataError for a link to a folder."""
+    with os.scandir(folder) as found:
         names = sorted(entry.name for entry in found)
     for name in names:
-        entry = path / name
-        if wanted(above / name):
-            yield Entry(above / name, entry.read_bytes() if entry.is_file() else None)
-        if entry.is_dir():
-            if entry.is_symlink():
-                raise DataError(f"{entry} is a link to a folder; copy the folder there, or name it itself")
-            yield from _read_folder(entry, above / name, wanted)
+        path = folder / name
+        yield path
+        if path.is_dir():
+            if path.is_symlink():
+                raise DataError(f"{path} is a link to a folder; copy the folder there, or name it itself")
+            yield from walk(path)
 
 
 def _read_zip(path: Path, wanted: Wanted) -> Iterator[Entry]:

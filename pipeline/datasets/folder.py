@@ -42,6 +42,8 @@ def read_folder(path: Path, config: FolderConfig) -> Iterator[Picture]:
             if len(parts) < 2 or parts[-2] not in counts or is_hidden(name):
                 continue
             split, category = parts[-2:]
+            if content is None and category in counts:
+                continue  # the whole source may lie in a folder `test`
             counts[split][category] += 0
             if content is not None and name.suffix.lower() in ENDINGS:
                 pixels = decode(content, f"{path}: {name}", config.size, config.fit)

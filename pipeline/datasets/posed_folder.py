@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
 from pipeline.datasets.archives import read_tree
+from pipeline.datasets.folder import is_hidden
 from pipeline.datasets.prepared import Names, Truth
 from pipeline.datasets.truth import Viewpoints, viewpoints_of_boxes
 from pipeline.errors import DataError
@@ -23,8 +24,8 @@ Angles = dict[str, tuple[float, ...]]
 def read_viewpoints(path: Path, names: Names) -> Truth:
     """Read the viewpoints of pictures from `poses.csv` above `train` and `test`.
 
-    Raises DataError for a table that is missing or cannot be read, for a picture without a row in it, and for one with
-    two.
+    Raises DataError for a table that is missing or cannot be read, for two tables, for a picture without a row, and for
+    one with two.
     """
     angles = _read_angles(path)
     return {
@@ -36,15 +37,19 @@ def read_viewpoints(path: Path, names: Names) -> Truth:
     }
 
 
-def _is_table(name: PurePosixPath) -> bool:
-    return name.name == TABLE
+def is_table(name: PurePosixPath) -> bool:
+    """Whether a path inside the source names a table."""
+    return name.name == TABLE and not is_hidden(name)
 
 
 def _read_angles(path: Path) -> Angles:
-    for name, content in read_tree(path, _is_table):
-        if content is not None:
-            return _parse(f"{path}: {name}", _text(f"{path}: {name}", content))
-    raise DataError(f"{path} has no {TABLE}; expected one with the columns {', '.join((FILE, *ANGLES))}")
+    tables = {name: content for name, content in read_tree(path, is_table) if content is not None}
+    if not tables:
+        raise DataError(f"{path} has no {TABLE}; expected one with the columns {', '.join((FILE, *ANGLES))}")
+    if len(tables) > 1:
+        raise DataError(f"{path} has the tables {' and '.join(map(str, tables))}; keep the one that is right")
+    ((name, content),) = tables.items()
+    return _parse(f"{path}: {name}", _text(f"{path}: {name}", content))
 
 
 def _text(where: str, content: bytes) -> str:

@@ -39,7 +39,7 @@ def survey(path: Path) -> Contents:
 
         def note(name: PurePosixPath) -> bool:
             names["annotations"] |= name.match(pascal3d.ANNOTATIONS)
-            names["table"] |= name.name == posed_folder.TABLE
+            names["table"] |= posed_folder.is_table(name)
             categories.update(filter(None, [category_of(name)]))
             progress.update()
             return False

@@ -21,12 +21,12 @@ def write_gif(path: Path, frames: Float[Tensor, "K 3 H W"], milliseconds: int) -
 
 
 def write_mp4(path: Path, frames: Float[Tensor, "K 3 H W"], milliseconds: int) -> None:
-    """Write a film in H.264, which browsers play, atomically; heights and widths are even. Errors as in `encoder`."""
+    """Write a film in H.264, which browsers play, atomically. Errors as in `encoder`."""
     write_frames = encoder()
     pixels = np.ascontiguousarray(_pixels(frames))
     with atomic_path(path) as temporary:
         rate: Any = 1000 / milliseconds  # ffmpeg takes fractions, whatever the annotation says
-        film = write_frames(str(temporary), pixels.shape[2:0:-1], fps=rate, macro_block_size=2)
+        film = write_frames(str(temporary), pixels.shape[2:0:-1], fps=rate, macro_block_size=2)  # sides become even
         film.send(None)
         for frame in pixels:
             film.send(frame)

@@ -18,7 +18,7 @@ from torch.nn import functional
 
 from pipeline.config import from_json
 from pipeline.device import constant
-from pipeline.files import load_tensors, save_tensors
+from pipeline.files import load_tensors, load_weights, save_tensors
 from pipeline.geometry.camera import rotation_from_angles
 from pipeline.ranges import Count
 
@@ -145,7 +145,7 @@ def load_hologan(path: Path, device: torch.device) -> HoloGenerator:
     """Load the generator that `save_hologan` wrote, in evaluation mode."""
     tensors, texts = load_tensors(path)
     network = HoloGenerator(from_json(texts["config"], HoloGANConfig, path))
-    network.load_state_dict(tensors)
+    load_weights(network, tensors, path)
     return network.to(device).eval()
 
 

@@ -58,15 +58,18 @@ def test_photographs_become_upright_rgb_and_not_too_large(tmp_path: Path) -> Non
         "e.png": picture(width=4000, height=100),
         "f.png": grey_of_16_bits(),
         "g.HEIC": picture_of_a_telephone(),
+        "h.png": grey_of_16_bits(transparency=0),
     }
     arrange(write_folder(tmp_path / "photos", files), "ship", tmp_path / "mine", 32)
     paths = sorted((tmp_path / "mine").rglob("*.jpg"), key=lambda path: path.name)
     written = [Image.open(io.BytesIO(path.read_bytes())) for path in paths]
-    assert [image.mode for image in written] == ["RGB"] * 7
-    sizes = [(40, 80), (32, 32), (40, 40), (LONGEST, LONGEST // 4), (1280, 32), (40, 40), (60, 40)]
+    assert [image.mode for image in written] == ["RGB"] * 8
+    sizes = [(40, 80), (32, 32), (40, 40), (LONGEST, LONGEST // 4), (1280, 32), (40, 40), (60, 40), (40, 40)]
     assert [image.size for image in written] == sizes
     assert np.asarray(written[2]).min() > 250
     assert abs(np.asarray(written[5]).mean() - 127.5) < 2
+    assert abs(np.asarray(written[7]).mean() - 127.5) < 2
+    assert np.asarray(written[7])[0, 0].min() > 200
 
 
 def picture_of_a_telephone() -> bytes:
@@ -76,11 +79,11 @@ def picture_of_a_telephone() -> bytes:
     return stream.getvalue()
 
 
-def grey_of_16_bits() -> bytes:
-    """Encode a ramp from black to white."""
+def grey_of_16_bits(transparency: int | None = None) -> bytes:
+    """Encode a ramp from black to white, of which one value may be transparent."""
     ramp = np.linspace(0, 65535, 1600).round().astype(np.uint16).reshape(40, 40)
     stream = io.BytesIO()
-    Image.fromarray(ramp).save(stream, "PNG")
+    Image.fromarray(ramp).save(stream, "PNG", transparency=transparency)
     return stream.getvalue()
 
 
@@ -94,7 +97,7 @@ def fractions() -> bytes:
 def test_what_cannot_be_used_is_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = {f"{number}.jpg": noise(number) for number in range(3)}
     files |= {"broken.jpg": noise(9)[:300], "small.png": picture(width=31), "a.CR2": b"", "b.cr2": b""}
-    files["depth.tif"] = fractions()
+    files |= {"depth.tif": fractions(), "wide.png": picture(width=70_000)}
     photos, out = write_folder(tmp_path / "photos", files), tmp_path / "mine"
     main(["arrange", str(photos), "--category", "ship", "--out", str(out)])
     said = capsys.readouterr().out.splitlines()
@@ -102,8 +105,9 @@ def test_what_cannot_be_used_is_named_and_left_out(tmp_path: Path, capsys: pytes
     assert said[1:] == [
         f"left out: {photos / 'depth.tif'} has grey values that are fractions; expected 8 or 16 bits",
         f"left out: {photos / 'small.png'} is 31x32 px; expected at least 32 px along the short side",
+        f"left out: {photos / 'wide.png'} would be written 70000x32 px; expected at most 65500 px",
         "passed over: 2 files that end in '.cr2'",
-        f"2 for training and 1 for testing written to {out}, 3 left out",
+        f"2 for training and 1 for testing written to {out}, 4 left out",
     ]
 
 

@@ -23,11 +23,13 @@ from pipeline.cli import doctor
 from pipeline.cli.__main__ import main
 from pipeline.cli.photographs import Task, list_tasks
 from pipeline.datasets.decoding import Fit, decode
+from pipeline.errors import DataError
 from pipeline.files import load_tensors, save_tensors
 from pipeline.networks.feature_extractor import extract, load_feature_extractor, save_feature_extractor
 from pipeline.networks.full_model import Reconstruction, full_model_texts
 from pipeline.networks.wide_resnet import WideResNet
 from tests.fresh_params import write_fresh_params
+from tests.picture_trees import write_folder
 from tests.tiny_full_model import photographs, tiny_model
 
 
@@ -195,8 +197,21 @@ def test_what_was_written_into_a_folder_of_photographs_is_none_of_them(tmp_path:
     for file in (tmp_path / "car.png", out / "car_texture.png"):
         file.touch()
     assert list_tasks([tmp_path], out) == [Task(tmp_path / "car.png", out / "car")]
-    for around in (out, tmp_path):  # there nothing tells photographs from what was written
-        assert list_tasks([out], around) == [Task(out / "car_texture.png", around / "car_texture")]
+    assert list_tasks([out], tmp_path) == [Task(out / "car_texture.png", tmp_path / "car_texture")]
+
+
+def test_photographs_and_what_is_written_do_not_share_a_folder(tmp_path: Path) -> None:
+    (tmp_path / "car.png").touch()
+    for given in (tmp_path, tmp_path / "car.png"):
+        with pytest.raises(DataError, match="is the folder of the photographs; name another for what is written"):
+            list_tasks([given], tmp_path / "sub" / "..")
+
+
+def test_a_linked_folder_of_photographs_is_not_passed_over(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "photographs", {"car.png": b"", "more/van.png": b""})
+    (folder / "linked").symlink_to(folder / "more")
+    with pytest.raises(DataError, match=r"linked is a link to a folder; copy the folder there, or name it itself"):
+        list_tasks([folder], tmp_path / "meshes")
 
 
 def test_a_stopped_reconstruction_goes_on_where_it_stopped(

@@ -53,6 +53,18 @@ def test_what_a_kill_left_behind_is_removed(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_link_is_replaced_and_not_followed(tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "old").touch()
+    (tmp_path / "link").symlink_to(elsewhere)
+    with atomic_path(tmp_path / "link") as temporary:
+        temporary.mkdir()
+        (temporary / "new").touch()
+    assert not (tmp_path / "link").is_symlink()
+    assert [[file.name for file in folder.iterdir()] for folder in (tmp_path / "link", elsewhere)] == [["new"], ["old"]]
+
+
 def test_temporary_names_keep_the_suffix(tmp_path: Path) -> None:
     with atomic_path(tmp_path / "new" / "image.png") as temporary:
         assert temporary.suffix == ".png"

@@ -46,6 +46,20 @@ def test_an_outer_folder_and_other_files_do_no_harm(tmp_path: Path) -> None:
     }
 
 
+@pytest.mark.parametrize("around", ["test", "train"])
+def test_an_outer_folder_may_be_called_as_a_split(tmp_path: Path, around: str) -> None:
+    files = {f"{around}/{name}": content for name, content in tree().items()}
+    assert len(list(read_folder(write_folder(tmp_path, files), CONFIG))) == len(files)
+
+
+def test_a_category_may_be_called_as_a_split(tmp_path: Path) -> None:
+    files = {f"{split}/train/{number}.jpg": noise(number) for split in ("train", "test") for number in (1, 2)}
+    pictures = read_folder(write_folder(tmp_path, files), CONFIG)
+    assert Counter((picture.split, picture.category) for picture in pictures) == {
+        (split, "train"): 2 for split in ("train", "test")
+    }
+
+
 def test_an_empty_category_is_named(tmp_path: Path) -> None:
     folder = write_folder(tmp_path, tree())
     (folder / "train" / "dog").mkdir()

@@ -1,7 +1,8 @@
 """HoloGAN: the turn of its volume, its styles, its gradients, and a training that resumes."""
 
+import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import torch
 from torch import Tensor
 
 from pipeline.errors import DataError, TrainingDiverged
+from pipeline.files import save_tensors
 from pipeline.networks.hologan import (
     AdaptiveNormalization,
     HoloDiscriminator,
@@ -96,6 +98,13 @@ def test_views_of_a_saved_generator_are_its_own(tmp_path: Path) -> None:
     torch.testing.assert_close(views, draw_views(network, latent, azimuths, 10.0))
     torch.testing.assert_close(views[:, 0], views[:, 1], atol=1e-4, rtol=0)
     assert not torch.allclose(views[:, 0], views[:, 2], atol=1e-4)
+
+
+def test_a_generator_of_another_width_is_no_generator_of_this_code(tmp_path: Path) -> None:
+    path = tmp_path / "hologan.safetensors"
+    save_tensors(path, _generator().state_dict(), {"config": json.dumps(asdict(replace(NETWORK, width=4)))})
+    with pytest.raises(DataError, match=r"hologan\.safetensors holds other weights than this code's networks have"):
+        load_hologan(path, torch.device("cpu"))
 
 
 def test_the_discriminator_learns_to_tell_dark_photographs() -> None:

@@ -49,6 +49,17 @@ def test_lines_may_end_as_on_any_system(tmp_path: Path) -> None:
         np.testing.assert_array_equal(truth.azimuth, truths[0].azimuth)
 
 
+def test_one_table_counts_and_hidden_ones_do_not(tmp_path: Path) -> None:
+    names = {"train": {"car": ["1.jpg", "2.jpg"]}}
+    files = tree(**{"poses.csv": table(), ".old/poses.csv": b"old", "train/._poses.csv": b""})
+    source = write_folder(tmp_path, files)
+    truth = read_viewpoints(source, names)["train"]["car"]
+    np.testing.assert_allclose(np.degrees(truth.azimuth), [0, 10])
+    write_folder(tmp_path, {"notes/poses.csv": table()})
+    with pytest.raises(DataError, match=r"has the tables notes/poses\.csv and poses\.csv; keep the one that is right"):
+        read_viewpoints(source, names)
+
+
 @pytest.mark.parametrize(
     ("content", "message"),
     [

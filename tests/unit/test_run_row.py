@@ -6,6 +6,8 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
+from pipeline.config import entries, load
+from pipeline.datasets.prepare import PrepareConfig
 from pipeline.errors import ConfigError, UserError
 from stages.run_row import round_trip_yaml, turn_on, turn_on_baseline
 from tests.fresh_params import write_fresh_params
@@ -207,6 +209,54 @@ def test_a_category_that_is_on_is_not_looked_for_again(params: Path, photographs
     given["category"] = "stalls"
     with pytest.raises(ConfigError, match="'market' has no category 'stalls'; did you mean 'stall'"):
         turn_on(params, _options("cifar10-automobile", **given))
+
+
+def test_photographs_of_which_something_is_learned_stay(params: Path, tmp_path: Path, photographs: Path) -> None:
+    given = {"dataset": "market", "source": photographs}
+    turn_on(params, _options("cifar10-automobile", category="cart", **given))
+    before = params.read_bytes()
+    given["source"] = write_folder(tmp_path / "others", {"train/bus/1.jpg": b"", "test/bus/1.jpg": b""})
+    words = (
+        r"runs\.market-cart learns 'cart' of 'market', but SOURCE=.*others has no such category; name a second dataset"
+    )
+    with pytest.raises(ConfigError, match=words):
+        turn_on(params, _options("cifar10-automobile", category="bus", **given))
+    assert params.read_bytes() == before
+    photographs = photographs.rename(tmp_path / "moved")
+    turn_on(params, _options("cifar10-automobile", category="bus", dataset="market", source=photographs))
+    assert YAML(typ="safe").load(params)["datasets"]["market"]["source"] == str(photographs)
+
+
+def test_longer_training_is_no_shorter(params: Path) -> None:
+    before = params.read_bytes()
+    words = "ablation 'longer' trains for 2400 iterations, fewer than the 10000 of size 'paper'"
+    with pytest.raises(ConfigError, match=words):
+        turn_on(params, _options("toybox-car", size="paper", ablation="longer"))
+    assert params.read_bytes() == before
+    assert turn_on(params, _options("toybox-car", ablation="longer")) == "toybox-car-longer"
+
+
+@pytest.mark.parametrize("name", ["on", "No", "null", "2026", "1_0", "true"])
+def test_names_stay_names(params: Path, tmp_path: Path, name: str) -> None:
+    source = write_folder(tmp_path / "photographs", {f"train/{name}/1.jpg": b""})
+    turn_on(params, _options("cifar10-automobile", dataset=name, category=name, source=source))
+    config = load(params, PrepareConfig, ["prepare_data", f"datasets.{name}"])
+    assert (config.kind, config.source) == ("folder", str(source))
+    assert entries(params, "runs")[f"{name}-{name}"]["category"] == name
+
+
+def test_some_settings_of_a_toybox_may_be_its_own(params: Path) -> None:
+    own = "\n  toybox:\n    toybox: {photograph: {supersampling: 4}}"
+    params.write_text(params.read_text().replace("\n  toybox:", own, 1))
+    assert turn_on(params, _options("toybox-car", seed=1)) == "toybox-car-seed1"
+
+
+def test_an_archive_of_cifar10_may_lie_elsewhere(params: Path, tmp_path: Path) -> None:
+    archive = tmp_path / "cifar-10-python.tar.gz"
+    archive.touch()
+    turn_on(params, _options("cifar10-automobile", source=archive))
+    archive.unlink()
+    assert turn_on(params, _options("cifar10-horse")) == "cifar10-horse"
 
 
 def test_the_official_archive_is_known_by_its_name(params: Path, tmp_path: Path) -> None:

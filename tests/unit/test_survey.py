@@ -31,7 +31,7 @@ def write(path: Path, form: str, files: Mapping[str, bytes]) -> Path:
             "folder",
             {"car", "horse"},
         ),
-        ({"test/ship/1.HEIC": b""}, "folder", {"ship"}),
+        ({"test/ship/1.HEIC": b"", ".old/poses.csv": b"", "__MACOSX/poses.csv": b""}, "folder", {"ship"}),
     ],
 )
 def test_names_tell_kind_and_categories(
