@@ -80,8 +80,8 @@ def _sides(degrees: list[str]) -> list[int]:
     return [round(float(azimuth) / 90) % 4 for azimuth in degrees]
 
 
-WHOLE = r"(?!.*(no-|fixed-base|single-stage|longer)).*"
-"""Runs without an ablation, and baselines."""
+WHOLE = r"(?!.*(no-|fixed-base|single-stage|longer|-200-|-500-)).*"
+"""Runs of all photographs, without an ablation, and baselines."""
 ABLATIONS = r"toybox-car(-no-.*|-fixed-base|-single-stage.*)?"
 CONSISTENCY = {
     "azimuths read within 30°": "multiview.acc_pi6",
@@ -189,6 +189,19 @@ TABLES: dict[str, Table | Confusion] = {
             "SSIM": "reconstruction.predicted.ssim",
             "SSIM fine-tuned": "reconstruction.tuned.ssim",
             "views right": "pose.test.acc_pi6",
+            "shape IoU": "shape.test.voxel_iou",
+            "mask IoU": "shape.test.mask_iou",
+        },
+    ),
+    "fewer": Table(
+        "",
+        r"(toybox-(200-|500-)?car|cifar10-(200-car|automobile))",
+        {
+            "feature distance": "reconstruction.predicted.feature_distance",
+            "fine-tuned": "reconstruction.tuned.feature_distance",
+            "views right": "pose.test.acc_pi6",
+            "turned by 180°": "pose.test.flipped",
+            "base shape": "shape.base.voxel_iou",
             "shape IoU": "shape.test.voxel_iou",
             "mask IoU": "shape.test.mask_iou",
         },
