@@ -11,7 +11,7 @@ from pipeline.errors import DataError
 
 FILES: Mapping[str, Sequence[str]] = {
     "mesh": (".glb", ".obj", ".mtl", "_texture.png"),
-    "picture": ("_reconstruction.png",),
+    "picture": ("_photograph.png", "_reconstruction.png"),
     "turntable": ("_turntable.gif",),
     "video": ("_turntable.mp4",),
     "pose": ("_pose.json",),
@@ -19,19 +19,32 @@ FILES: Mapping[str, Sequence[str]] = {
 """Endings of the files of each output."""
 
 
-class Task(NamedTuple):
-    """A photograph and the path, without an ending, of its outputs."""
+class Target(NamedTuple):
+    """Where the outputs of a photograph are written: a path without an ending."""
 
-    photograph: Path
-    target: Path
+    path: Path
 
     def file(self, ending: str) -> Path:
         """Return the path of one output."""
-        return self.target.with_name(self.target.name + ending)
+        return self.path.with_name(self.path.name + ending)
 
     def done(self, outputs: Sequence[str]) -> bool:
         """Whether all files of the outputs are there; each is written whole or not at all."""
         return all(self.file(ending).is_file() for output in outputs for ending in FILES[output])
+
+
+class Task(NamedTuple):
+    """A photograph and where its outputs are written."""
+
+    photograph: Path
+    target: Target
+
+
+def find_targets(out: Path, outputs: Sequence[str]) -> list[Target]:
+    """List by name what a folder of outputs, as far as it exists, holds all of these outputs of."""
+    ending = FILES[outputs[0]][0]
+    found = (Target(file.with_name(file.name.removesuffix(ending))) for file in out.rglob(f"*{ending}"))
+    return sorted(target for target in found if target.done(outputs))
 
 
 def find_photographs(folder: Path, without: Path | None = None) -> list[Path]:
@@ -62,12 +75,12 @@ def list_tasks(paths: Sequence[Path], out: Path) -> list[Task]:
     Raises DataError for a path that does not exist, a folder without photographs, two photographs of one name, and an
     `out` that is the photographs' own folder, in which nothing would tell them from what is written.
     """
-    tasks: dict[Path, Task] = {}
+    tasks: dict[Target, Task] = {}
     for task in (task for path in paths for task in _tasks(path, out)):
         photograph, target = task
         other = tasks.setdefault(target, task).photograph
         if other.resolve() != photograph.resolve():
-            raise DataError(f"{other} and {photograph} would both be written as {target}.glb; rename one")
+            raise DataError(f"{other} and {photograph} would both be written as {target.file('.glb')}; rename one")
     return list(tasks.values())
 
 
@@ -76,11 +89,11 @@ def _tasks(path: Path, out: Path) -> Iterator[Task]:
     if out.resolve() == folder.resolve():
         raise DataError(f"{out} is the folder of the photographs; name another for what is written, such as meshes")
     if path.is_file():
-        yield Task(path, out / _plain(path.name))
+        yield Task(path, Target(out / _plain(path.name)))
         return
     inside = path.resolve() in out.resolve().parents
     for file in find_photographs(path, without=out.resolve() if inside else None):
-        yield Task(file, (out / file.relative_to(path)).with_name(_plain(file.name)))
+        yield Task(file, Target((out / file.relative_to(path)).with_name(_plain(file.name))))
 
 
 def _plain(name: str) -> str:

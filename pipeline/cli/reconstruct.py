@@ -15,7 +15,7 @@ from torch.nn import functional
 from tqdm import tqdm
 
 from pipeline.cli.gallery import write_gallery
-from pipeline.cli.photographs import FILES, Task
+from pipeline.cli.photographs import FILES, Target, Task, find_targets
 from pipeline.cli.runs import Run
 from pipeline.config import load, scalar
 from pipeline.datasets.decoding import Fit, decode, decode_up_to, reading
@@ -41,9 +41,11 @@ from pipeline.training.fine_tune import FineTuneConfig, fine_tune
 RECORD = "reconstruct.json"
 """Says in the folder of outputs which model made them, and how."""
 PAGE = "index.html"
-"""Shows in the folder of outputs the meshes of the last call."""
+"""Shows the meshes in the folder of outputs, first those of the last call."""
 PAGED = ("mesh", "picture", "pose")
 """Outputs that a photograph needs to be on the page."""
+_SEEN_SIZE = 256
+"""Of what is kept of a photograph, in pixels, at most."""
 
 
 class Found(NamedTuple):
@@ -100,7 +102,7 @@ def reconstruct(
     way = {"model": sha256(run.model), **steps._asdict(), "settings": hashlib.sha256(settings.encode()).hexdigest()}
     _require_same_way(out, way)
     write_json(out / RECORD, way)
-    waiting = [task for task in tasks if not task.done(outputs)]
+    waiting = [task for task in tasks if not task.target.done(outputs)]
     extractor = load_feature_extractor(run.features, device, resolve_precision(scalar(run.params, "precision"), device))
     find = partial(_fine_tuned, config=config) if steps.fine_tune else _inferred
     failures: list[str] = []
@@ -112,11 +114,14 @@ def reconstruct(
                 continue
             for task, found in zip(readable, find(images.to(device), model, extractor), strict=True):
                 shown = _painted(found, task, model, fit, painting) if steps.paint else found
-                _write(task, shown, model, report, outputs)
+                _write(task.target, shown, model, report, outputs)
+                if "picture" in outputs:
+                    write_png(task.target.file("_photograph.png"), _seen(task, fit, _SEEN_SIZE))
                 progress.update()
-    done = [task for task in tasks if task.done(PAGED)]
+    latest = {task.target for task in tasks}
+    done = sorted(find_targets(out, PAGED), key=lambda target: target not in latest)
     if done:
-        write_gallery(out / PAGE, done, fit, model.config.renderer.camera)
+        write_gallery(out / PAGE, done, model.config.renderer.camera)
     return Outcome(len(waiting) - len(failures), len(tasks) - len(waiting), failures, out / PAGE if done else None)
 
 
@@ -175,36 +180,41 @@ def _separate(
 
 def _painted(found: Found, task: Task, model: FullModel, fit: Fit, config: PaintingConfig) -> Found:
     """Paint what is found with its photograph, and render it at the photograph's size."""
-    pixels = decode_up_to(task.photograph.read_bytes(), str(task.photograph), config.photograph_size, fit)
-    photograph = torch.from_numpy(pixels.copy()).permute(2, 0, 1) / 255
+    photograph = _seen(task, fit, config.photograph_size)
     mesh = Mesh(found.vertices, model.faces.cpu(), model.directions.cpu())
-    settings, renderer = model.config, replace(model.config.renderer, size=len(pixels))
+    settings, renderer = model.config, replace(model.config.renderer, size=photograph.shape[-1])
     texture = paint(mesh, found.texture, found.pose, photograph, renderer.camera, settings.mirror_texture, config)
     background = functional.interpolate(found.background, size=photograph.shape[1:], mode="bilinear")
     image = render(mesh, texture[None], found.pose, background, None, renderer).images[0]
     return found._replace(texture=texture, background=background, image=image)
 
 
-def _write(task: Task, found: Found, model: FullModel, report: ReportConfig, outputs: Sequence[str]) -> None:
+def _seen(task: Task, fit: Fit, size: int) -> Float[Tensor, "3 side side"]:
+    """Read the square of a photograph that the model sees, at its own resolution up to a size."""
+    pixels = decode_up_to(task.photograph.read_bytes(), str(task.photograph), size, fit)
+    return torch.from_numpy(pixels.copy()).permute(2, 0, 1) / 255
+
+
+def _write(target: Target, found: Found, model: FullModel, report: ReportConfig, outputs: Sequence[str]) -> None:
     vertices, texture = found.vertices[0], found.texture
     faces, directions = model.faces.cpu(), model.directions.cpu()
     if "mesh" in outputs:
         mesh = unwrap(vertices, faces, directions, texture.shape[-1])
-        write_glb(task.file(".glb"), mesh, texture)
-        write_obj(task.file(".obj"), mesh, texture)
+        write_glb(target.file(".glb"), mesh, texture)
+        write_obj(target.file(".obj"), mesh, texture)
     if "picture" in outputs:
         picture = found.image.clamp(0, 1)
         factor = max(1, report.view.size // picture.shape[-1])
-        write_png(task.file("_reconstruction.png"), enlarge(picture, factor))
+        write_png(target.file("_reconstruction.png"), enlarge(picture, factor))
     if "turntable" in outputs or "video" in outputs:
         azimuths = [360 * frame / report.frames for frame in range(report.frames)]
         camera = model.config.renderer.camera
         turn = on_white(render_textured(vertices, faces, directions, texture, azimuths, camera, report.view))
         for output, write in (("turntable", write_gif), ("video", write_mp4)):
             if output in outputs:
-                write(task.file(*FILES[output]), turn, 2400 // report.frames)
+                write(target.file(*FILES[output]), turn, 2400 // report.frames)
     if "pose" in outputs:
-        write_json(task.file("_pose.json"), describe(found.pose))
+        write_json(target.file("_pose.json"), describe(found.pose))
 
 
 def describe(pose: Pose) -> dict[str, float | list[float]]:

@@ -67,7 +67,12 @@ def encode_png(picture: Float[Tensor, "C H W"]) -> bytes:
 
 def data_uri(picture: Float[Tensor, "C H W"]) -> str:
     """Encode a picture as the address of an `img` element, so that the page needs no file beside it."""
-    return "data:image/png;base64," + base64.b64encode(encode_png(picture)).decode()
+    return png_uri(encode_png(picture))
+
+
+def png_uri(png: bytes) -> str:
+    """Return the address of a picture that is encoded already."""
+    return "data:image/png;base64," + base64.b64encode(png).decode()
 
 
 def write_png(path: Path, picture: Float[Tensor, "C H W"]) -> None:

@@ -11,7 +11,7 @@ from PIL import Image
 from playwright.sync_api import Browser, BrowserContext, Locator, Page
 
 from pipeline.cli.gallery import write_gallery
-from pipeline.cli.photographs import Task
+from pipeline.cli.photographs import Target
 from pipeline.export.glb import write_glb
 from pipeline.export.picture import write_png
 from pipeline.export.report import write_report
@@ -220,14 +220,14 @@ def test_a_browser_without_webgl_says_so(chromium: Browser, address: str) -> Non
 def test_reconstructed_photographs_are_turned_on_a_page_of_their_own(open_page: Open, tmp_path: Path) -> None:
     found = inputs(truth=False).reconstructions
     texture, vertices = found.textures[0], found.tuned.vertices[0]
-    tasks = [Task(tmp_path / f"my {name}.png", tmp_path / name) for name in ("first", "second")]
-    for task, azimuth in zip(tasks, (180.0, 0.0), strict=True):
-        write_png(task.photograph, torch.zeros(3, 48, 32))
-        write_png(task.file("_reconstruction.png"), torch.zeros(3, 32, 32))
-        write_glb(task.file(".glb"), unwrap(vertices, found.faces, found.directions, texture.shape[-1]), texture)
-        write_json(task.file("_pose.json"), {"azimuth_degrees": azimuth, "elevation_degrees": 0.0})
-    write_gallery(tmp_path / "index.html", tasks, "crop", CAMERA)
+    targets = [Target(tmp_path / "photographs" / name) for name in ("first", "second")]
+    for target, azimuth in zip(targets, (180.0, 0.0), strict=True):
+        for kind in ("photograph", "reconstruction"):
+            write_png(target.file(f"_{kind}.png"), torch.zeros(3, 32, 32))
+        write_glb(target.file(".glb"), unwrap(vertices, found.faces, found.directions, texture.shape[-1]), texture)
+        write_json(target.file("_pose.json"), {"azimuth_degrees": azimuth, "elevation_degrees": 0.0})
+    write_gallery(tmp_path / "index.html", targets, CAMERA)
     page = open_page((tmp_path / "index.html").as_uri(), **STILL)
     numpy.testing.assert_allclose(color(seen(page), 0.5), BLUE, atol=0.03)
-    page.get_by_role("radio", name="my second.png").check()
+    page.get_by_role("radio", name="photographs/second").check()
     numpy.testing.assert_allclose(color(seen(page), 0.5), ORANGE, atol=0.03)

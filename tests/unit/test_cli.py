@@ -4,6 +4,7 @@ import base64
 import json
 import math
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -21,7 +22,7 @@ from torch import Tensor
 
 from pipeline.cli import doctor
 from pipeline.cli.__main__ import main
-from pipeline.cli.photographs import Task, list_tasks
+from pipeline.cli.photographs import Target, Task, list_tasks
 from pipeline.datasets.decoding import Fit, decode
 from pipeline.errors import DataError
 from pipeline.files import load_tensors, save_tensors
@@ -74,7 +75,8 @@ def pixels(path: Path) -> UInt8[Tensor, "H W 3"]:
 
 
 def test_photographs_become_textured_meshes(project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    endings = [".glb", ".mtl", ".obj", "_pose.json", "_reconstruction.png", "_texture.png", "_turntable.gif"]
+    pictures = ["_photograph.png", "_reconstruction.png", "_texture.png", "_turntable.gif"]
+    endings = [".glb", ".mtl", ".obj", "_pose.json", *pictures]
     written = reconstruct(project, str(tmp_path / "car.png"), str(tmp_path / "van.png"))
     assert written == sorted(
         ["index.html", "reconstruct.json"] + [f"{name}{ending}" for name in ("car", "van") for ending in endings]
@@ -83,8 +85,9 @@ def test_photographs_become_textured_meshes(project: Path, tmp_path: Path, capsy
     assert "2 written to" in out
     assert f"open {page.resolve()}\n" in out
     for name in ("car", "van"):  # on the page
-        assert f'data-name="{name}.png"' in page.read_text()
+        assert f'data-name="{name}"' in page.read_text()
         assert base64.b64encode((project / f"out/{name}.glb").read_bytes()).decode() in page.read_text()
+    assert torch.equal(pixels(project / "out/van_photograph.png"), pixels(tmp_path / "van.png"))
     expected = inferred(project, photographs(2)[0])
     bounds = torch.stack([expected.vertices[1].amin(0), expected.vertices[1].amax(0)])
     for name in ("van.glb", "van.obj"):
@@ -95,6 +98,21 @@ def test_photographs_become_textured_meshes(project: Path, tmp_path: Path, capsy
     with Image.open(project / "out/car_turntable.gif") as turntable:
         assert turntable.size == (64, 64)
         assert len(list(ImageSequence.Iterator(turntable))) == 4
+
+
+def test_a_page_shows_what_earlier_calls_have_made_too(project: Path, tmp_path: Path) -> None:
+    for name, folder in (("car", "earlier"), ("van", "later")):
+        (tmp_path / "all" / folder).mkdir(parents=True)
+        (tmp_path / f"{name}.png").rename(tmp_path / "all" / folder / f"{name}.png")
+    reconstruct(project, str(tmp_path / "all"), "--outputs", "mesh,picture,pose")
+    (tmp_path / "all/earlier/car.png").rename(tmp_path / "bus.png")
+    (tmp_path / "all/later/van.png").unlink()
+    reconstruct(project, str(tmp_path / "bus.png"), "--outputs", "mesh,pose")
+    text = (project / "out/index.html").read_text()
+    assert re.findall(r'data-name="(.*?)"', text) == ["earlier/car", "later/van"]  # of a bus there is no picture
+    reconstruct(project, str(tmp_path / "bus.png"), "--outputs", "mesh,picture,pose")
+    text = (project / "out/index.html").read_text()
+    assert re.findall(r'data-name="(.*?)"', text) == ["bus", "earlier/car", "later/van"]
 
 
 def test_fine_tuning_changes_the_pose(project: Path, tmp_path: Path) -> None:
@@ -196,8 +214,8 @@ def test_what_was_written_into_a_folder_of_photographs_is_none_of_them(tmp_path:
     out.mkdir()
     for file in (tmp_path / "car.png", out / "car_texture.png"):
         file.touch()
-    assert list_tasks([tmp_path], out) == [Task(tmp_path / "car.png", out / "car")]
-    assert list_tasks([out], tmp_path) == [Task(out / "car_texture.png", tmp_path / "car_texture")]
+    assert list_tasks([tmp_path], out) == [Task(tmp_path / "car.png", Target(out / "car"))]
+    assert list_tasks([out], tmp_path) == [Task(out / "car_texture.png", Target(tmp_path / "car_texture"))]
 
 
 def test_photographs_and_what_is_written_do_not_share_a_folder(tmp_path: Path) -> None:
@@ -283,16 +301,17 @@ def test_a_photograph_that_is_named_twice_is_listed_once(tmp_path: Path, monkeyp
     (tmp_path / "car.png").touch()
     monkeypatch.chdir(tmp_path)
     assert list_tasks([Path("car.png"), tmp_path / "car.png", tmp_path], Path("out")) == [
-        Task(Path("car.png"), Path("out/car"))
+        Task(Path("car.png"), Target(Path("out/car")))
     ]
 
 
 def test_a_name_that_is_no_text_becomes_one(project: Path, tmp_path: Path) -> None:
-    (tmp_path / "cars").mkdir()
-    shutil.copy(tmp_path / "car.png", tmp_path / "cars" / os.fsdecode(b"caf\xe9.png"))
+    folder = tmp_path / "cars" / os.fsdecode(b"g\xe9n\xe9ral")
+    folder.mkdir(parents=True)
+    shutil.copy(tmp_path / "car.png", folder / os.fsdecode(b"caf\xe9.png"))
     written = reconstruct(project, str(tmp_path / "cars"))
-    assert {"caf_.glb", "caf_.obj", "caf__pose.json", "index.html"} <= set(written)
-    assert r"caf\udce9.png" in (project / "out/index.html").read_text(encoding="utf-8")
+    assert {f"{folder.name}/caf_{ending}" for ending in (".glb", ".obj", "_pose.json")} < set(written)
+    assert r'data-name="g\udce9n\udce9ral/caf_"' in (project / "out/index.html").read_text(encoding="utf-8")
 
 
 def test_a_folder_that_cannot_be_written_is_said_before_anything_is_inferred(project: Path, tmp_path: Path) -> None:
