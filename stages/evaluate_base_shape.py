@@ -13,7 +13,7 @@ from pipeline.export.picture import sheet, write_png
 from pipeline.export.views import SEED_AZIMUTHS, ViewConfig, on_white, render_clay
 from pipeline.files import load_tensors, write_json
 from pipeline.geometry.camera import CameraConfig
-from pipeline.networks.scene_generator import best_seed
+from pipeline.networks.seed_choice import choose_seed
 from pipeline.ranges import Count
 from stages.command_line import parse, run
 
@@ -30,12 +30,12 @@ class EvaluateBaseShapeConfig:
 
 def main() -> None:
     """Write a picture with one row a seed, and the figures as JSON: without known truth there are none."""
-    arguments = parse(__doc__, truth=Path, category=str, base_shape=Path, out=Path, figure=Path)
+    arguments = parse(__doc__, truth=Path, category=str, base_shape=Path, chosen=str, out=Path, figure=Path)
     config = load(arguments.params, EvaluateBaseShapeConfig, arguments.sections)
     tensors, _ = load_tensors(arguments.base_shape)
     seeds, faces, scores = (tensors[name] for name in ("seed_vertices", "faces", "seed_scores"))
     views = [on_white(render_clay(seed, faces, SEED_AZIMUTHS, config.camera, config.view)) for seed in seeds]
-    chosen = best_seed(scores.tolist())
+    chosen = choose_seed(arguments.chosen, scores.tolist())
     write_png(arguments.figure, sheet(dict(zip(seed_names(scores, chosen), views, strict=True))))
     training, test = (load_true_split(arguments.truth, split, arguments.category) for split in ("train", "test"))
     figures = {}

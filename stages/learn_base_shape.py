@@ -53,9 +53,8 @@ def learn(config: BaseShapeConfig, arguments: Namespace, device: torch.device) -
 
 
 def save(shapes: BaseShapes, path: Path) -> None:
-    """Write the chosen shape, and all seeds' shapes, scores and generators."""
+    """Write all seeds' shapes, scores and generators."""
     tensors = {
-        "vertices": shapes.vertices[shapes.best],
         "faces": shapes.sphere.faces,
         "directions": shapes.sphere.directions,
         "seed_vertices": shapes.vertices,

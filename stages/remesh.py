@@ -9,6 +9,7 @@ from pipeline.files import load_tensors, save_tensors, write_json
 from pipeline.geometry.mesh_quality import measure_remeshing
 from pipeline.geometry.remeshing import IsotropicConfig, MappedMesh, remesh_isotropic
 from pipeline.geometry.sphere_map import SphereMapConfig
+from pipeline.networks.seed_choice import choose_seed
 from pipeline.training.remesh_silhouette import SilhouetteConfig, remesh_by_silhouettes
 from stages.command_line import parse, run
 
@@ -25,17 +26,18 @@ class RemeshConfig:
 
 
 def main() -> None:
-    """Remesh a base shape; write the new mesh and how it compares with the old one."""
-    arguments = parse(__doc__, base_shape=Path, out=Path, metrics=Path)
+    """Remesh the chosen base shape; write the new mesh, with its seed, and how it compares with the old one."""
+    arguments = parse(__doc__, base_shape=Path, chosen=str, out=Path, metrics=Path)
     config = load(arguments.params, RemeshConfig, arguments.sections)
     tensors, _ = load_tensors(arguments.base_shape)
-    base_shape = MappedMesh(tensors["vertices"], tensors["faces"], tensors["directions"])
+    chosen = choose_seed(arguments.chosen, tensors["seed_scores"].tolist())
+    base_shape = MappedMesh(tensors["seed_vertices"][chosen], tensors["faces"], tensors["directions"])
     if config.method == "isotropic":
         remeshed = remesh_isotropic(base_shape, config.isotropic, config.sphere_map)
     else:
         remeshed = remesh_by_silhouettes(base_shape, config.silhouette)
     metrics = measure_remeshing(base_shape, remeshed)
-    save_tensors(arguments.out, remeshed._asdict(), {})
+    save_tensors(arguments.out, remeshed._asdict(), {"seed": str(chosen)})
     write_json(arguments.metrics, metrics)
 
 

@@ -10,6 +10,7 @@ from pipeline.evaluation.tables import format_figures, read_table
 from pipeline.export.report import ReportConfig, ReportInputs, write_report
 from pipeline.files import load_tensors, read_json
 from pipeline.networks.full_model import load_full_model
+from pipeline.networks.seed_choice import load_seed
 from stages.command_line import parse, run
 
 TRAININGS = ("features", "base_shape", "full")
@@ -24,6 +25,7 @@ def main() -> None:
         dataset=str,
         test_images=Path,
         base_shape=Path,
+        mesh=Path,
         model=Path,
         reconstructions=Path,
         metrics=Path,
@@ -44,6 +46,7 @@ def main() -> None:
         seeds=base_shape["seed_vertices"],
         seed_faces=base_shape["faces"],
         seed_scores=base_shape["seed_scores"],
+        chosen_seed=load_seed(arguments.mesh),
         base=model.shapes.base().detach(),
         camera=model.config.renderer.camera,
         framing=model.config.framing,

@@ -22,6 +22,7 @@ from pipeline.datasets.survey import Contents, survey
 from pipeline.datasets.toybox import toybox
 from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
+from pipeline.networks.seed_choice import BY_SCORE
 from pipeline.training.base_shape import BaseShapeConfig
 from stages.command_line import run
 
@@ -92,12 +93,13 @@ def turn_on(path: Path, options: Namespace) -> str:
     name = _name(subject, entry)
     changes_base_shape = bool(document["ablations"][options.ablation]["learn_base_shape"])
     base_shape = entry | {"ablation": options.ablation if changes_base_shape else "none"}
-    for section, its_name, its_entry in (
-        ("base_shapes", _name(subject, base_shape), base_shape),
-        ("runs", name, entry | {"base_shape": _name(subject, base_shape)}),
+    for section, its_name, its_entry, additions in (
+        ("base_shapes", _name(subject, base_shape), base_shape, {"chosen": BY_SCORE}),
+        ("runs", name, entry | {"base_shape": _name(subject, base_shape)}, {}),
     ):
-        _require_same(document[section].get(its_name, its_entry), its_entry, f"{section}.{its_name}")
-        _put(document[section], its_name, its_entry)
+        known = document[section].get(its_name, its_entry | additions)
+        _require_same(known, its_entry, f"{section}.{its_name}")
+        _put(document[section], its_name, known)
     with atomic_path(path) as temporary:
         yaml.dump(document, temporary)
     return name

@@ -43,7 +43,7 @@ def train(arguments: Namespace, device: torch.device) -> None:
         memory,
         load_feature_extractor(arguments.features, device, precision),
         load_base(config, arguments.mesh, device),
-        load_scenes(arguments.base_shape, device),
+        load_scenes(arguments.base_shape, arguments.mesh, device),
         arguments.seed,
         checkpoint,
     )

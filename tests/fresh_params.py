@@ -24,7 +24,7 @@ ON = {
             "weights": "data/raw/wide_resnet_16_2_cifar10.safetensors",
         }
     },
-    "base_shapes": {"toybox-car": RUN},
+    "base_shapes": {"toybox-car": {**RUN, "chosen": "score"}},
     "runs": {"toybox-car": {**RUN, "base_shape": "toybox-car"}},
     "hologan": {},
     "colmap": {},

@@ -57,6 +57,7 @@ def inputs(truth: bool) -> ReportInputs:
         seeds=torch.stack([directions / 2, base]),
         seed_faces=faces,
         seed_scores=torch.tensor([0.5, 0.25]),
+        chosen_seed=0,
         base=base,
         camera=CAMERA,
         framing="free",

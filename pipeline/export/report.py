@@ -15,7 +15,7 @@ from pipeline.export.picture import sheet, write_png
 from pipeline.export.report_meshes import base_exhibit, reconstruction_exhibits, seed_exhibits
 from pipeline.export.report_metrics import curve_section, headline, metrics_section, pose_section
 from pipeline.export.report_page import Section, page
-from pipeline.export.report_pictures import Gallery, base_shape_section, example_section, step_section
+from pipeline.export.report_pictures import Gallery, base_shape_section, example_section, seed_captions, step_section
 from pipeline.export.viewer import viewer_section
 from pipeline.export.views import ViewConfig, on_white
 from pipeline.files import atomic_path
@@ -57,7 +57,7 @@ class ReportInputs(NamedTuple):
         stage_figures: metrics of the other stages, by the stage's name.
         curves: columns of each training's curve, by the stage's name.
         table: one row a picture, as `evaluate` wrote it.
-        seeds: base shapes of all seeds, with their faces and scores; the lowest score was chosen.
+        seeds: base shapes of all seeds, with their faces, their scores and the one that was chosen.
     """
 
     run: str
@@ -67,6 +67,7 @@ class ReportInputs(NamedTuple):
     seeds: Float[Tensor, "S V 3"]
     seed_faces: Int[Tensor, "F 3"]
     seed_scores: Float[Tensor, " S"]
+    chosen_seed: int
     base: Float[Tensor, "V 3"]
     camera: CameraConfig
     framing: Framing
@@ -81,15 +82,16 @@ def write_report(inputs: ReportInputs, config: ReportConfig, page_folder: Path, 
     best, random = choose_examples(inputs, config)
     gallery = Gallery(inputs.reconstructions, inputs.photographs, inputs.camera, inputs.framing, config.view)
     seeds = gallery.seed_views(inputs.seeds, inputs.seed_faces)
+    captions = seed_captions(inputs.seed_scores, inputs.chosen_seed)
     exhibits = [
         *reconstruction_exhibits("best", "Best reconstructions", gallery, best, inputs.table),
         *reconstruction_exhibits("random", "Random reconstructions", gallery, random, inputs.table),
         base_exhibit(inputs.base, gallery),
-        *seed_exhibits(inputs.seeds, inputs.seed_faces, inputs.seed_scores, seeds, config.view.elevation),
+        *seed_exhibits(inputs.seeds, inputs.seed_faces, captions, seeds, config.view.elevation),
     ]
     sections = [
         viewer_section(exhibits, inputs.camera),
-        base_shape_section(seeds, inputs.seed_scores),
+        base_shape_section(seeds, captions, inputs.chosen_seed),
         example_section("best", "Best reconstructions", gallery, best, inputs.table, config.other_view),
         example_section("random", "Random reconstructions", gallery, random, inputs.table, config.other_view),
         step_section(gallery, random[: config.stepped], inputs.table["test_index"]),

@@ -1,6 +1,6 @@
 """The meshes that the report's viewer shows: reconstructions, and base shapes of all seeds and after full training."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import torch
 from jaxtyping import Float, Int
@@ -9,7 +9,7 @@ from torch import Tensor
 from pipeline.export.glb import encode_glb
 from pipeline.export.picture import data_uri
 from pipeline.export.report_page import captioned, grid, image
-from pipeline.export.report_pictures import SEED_AZIMUTHS, Gallery, example_figures, seed_caption
+from pipeline.export.report_pictures import SEED_AZIMUTHS, Gallery, example_figures
 from pipeline.export.seam import UnwrappedMesh, unwrap
 from pipeline.export.viewer import Exhibit
 from pipeline.export.views import CLAY
@@ -68,7 +68,7 @@ def base_exhibit(base: Float[Tensor, "V 3"], gallery: Gallery) -> Exhibit:
 def seed_exhibits(
     seeds: Float[Tensor, "S V 3"],
     faces: Int[Tensor, "F 3"],
-    scores: Float[Tensor, " S"],
+    captions: Sequence[str],
     views: Float[Tensor, "S 4 4 H W"],
     elevation: float,
 ) -> list[Exhibit]:
@@ -85,7 +85,7 @@ def seed_exhibits(
             azimuth=CORNER_AZIMUTH,
             elevation=elevation,
             thumbnail=data_uri(views[seed, CORNER]),
-            beside=f"<p>{seed_caption(seed, scores)} · before remeshing, {len(faces)} polygons</p>",
+            beside=f"<p>{captions[seed]} · before remeshing, {len(faces)} polygons</p>",
         )
         for seed, vertices in enumerate(seeds)
     ]

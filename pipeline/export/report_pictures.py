@@ -13,7 +13,6 @@ from pipeline.export.viewer import turn_link
 from pipeline.export.views import SEED_AZIMUTHS, ViewConfig, render_clay, render_textured
 from pipeline.geometry.camera import CameraConfig
 from pipeline.networks.pose_coordinates import Framing
-from pipeline.networks.scene_generator import best_seed
 from pipeline.rendering.renderer import RendererConfig
 
 STEP_AZIMUTHS = tuple(range(0, 400, 50))
@@ -77,25 +76,26 @@ class Gallery:
         return render_tuned(self.reconstructions, index, pose, self._framing, renderer)
 
 
-def base_shape_section(views: Float[Tensor, "S 4 4 H W"], scores: Float[Tensor, " S"]) -> Section:
+def base_shape_section(views: Float[Tensor, "S 4 4 H W"], captions: Sequence[str], chosen: int) -> Section:
     """Show the base shapes of all seeds, the chosen one marked."""
     items = []
-    for seed, row in enumerate(views):
+    for seed, (row, caption) in enumerate(zip(views, captions, strict=True)):
         picture = image(data_uri(strip(row)), f"base shape of seed {seed} from four sides")
-        caption = f"{seed_caption(seed, scores)} · {turn_link(f'seed-{seed}')}"
-        items.append(card(picture, caption, "chosen" if seed == best_seed(scores.tolist()) else ""))
+        linked = f"{caption} · {turn_link(f'seed-{seed}')}"
+        items.append(card(picture, linked, "chosen" if seed == chosen else ""))
     introduction = (
         "One base shape a seed, seen from the front, the front corner, the side and the rear corner. "
         "The score is the distance of fresh renderings from the photographs in feature space: no label takes part in "
-        "it, and the lowest is chosen."
+        "it, and the lowest is chosen unless a seed is named (`chosen` under base_shapes in params.yaml)."
     )
     return Section("base-shapes", "Base shapes", introduction, grid("seeds", items))
 
 
-def seed_caption(seed: int, scores: Float[Tensor, " S"]) -> str:
-    """Say a seed's score, and whether it was chosen, as HTML."""
-    mark = " <b>chosen</b>" if seed == best_seed(scores.tolist()) else ""
-    return f"seed {seed} · score {scores[seed]:.4f}{mark}"
+def seed_captions(scores: Float[Tensor, " S"], chosen: int) -> list[str]:
+    """Say every seed's score, and which one was chosen, as HTML."""
+    captions = [f"seed {seed} · score {score:.4f}" for seed, score in enumerate(scores.tolist())]
+    captions[chosen] += " <b>chosen</b>"
+    return captions
 
 
 def example_section(

@@ -21,6 +21,7 @@ from pipeline.networks.generators import (
     StripesGenerator,
     TextureGenerator,
 )
+from pipeline.networks.seed_choice import load_seed
 from pipeline.ranges import Count, Positive
 
 
@@ -146,17 +147,15 @@ def scene_texts(generator: SceneGenerator) -> dict[str, str]:
     return {"scene": json.dumps(asdict(generator.config), sort_keys=True)}
 
 
-def best_seed(scores: Sequence[float]) -> int:
-    """Return which base shape is chosen: the one whose renderings are nearest to the photographs."""
-    return min(range(len(scores)), key=scores.__getitem__)
+def load_scenes(path: Path, mesh: Path, device: torch.device) -> LearnedScenes:
+    """Load what `learn_base_shape` wrote, first the seed whose base shape `remesh` made the mesh of.
 
-
-def load_scenes(path: Path, device: torch.device) -> LearnedScenes:
-    """Load what `learn_base_shape` wrote. Raises DataError where it was written by other code."""
+    Raises DataError where it was written by other code.
+    """
     tensors, texts = load_tensors(path)
     config = from_json(texts["scene"], SceneConfig, path)
-    best = best_seed(tensors["seed_scores"].tolist())
-    order = sorted(range(len(tensors["seed_scores"])), key=lambda seed: seed != best)
+    chosen = load_seed(mesh)
+    order = sorted(range(len(tensors["seed_scores"])), key=lambda seed: seed != chosen)
     generators = [_build(config, tensors, seed, path).to(device).eval() for seed in order]
     return LearnedScenes(generators, tensors["faces"].to(device), tensors["directions"].to(device))
 

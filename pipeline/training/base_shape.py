@@ -27,8 +27,8 @@ from pipeline.networks.scene_generator import (
     Scene,
     SceneConfig,
     SceneGenerator,
-    best_seed,
 )
+from pipeline.networks.seed_choice import best_seed
 from pipeline.ranges import Count, Fraction, Momentum, Natural, Positive
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 from pipeline.seeding import generator, initialised

@@ -128,9 +128,10 @@ def test_every_generator_receives_gradients() -> None:
 def test_generators_survive_their_file_and_the_chosen_ones_come_first(tmp_path: Path) -> None:
     models = [build(seed=seed).eval() for seed in range(3)]
     directions, faces = icosphere(1)
-    tensors = {"seed_scores": torch.tensor([0.5, 0.4, 0.1]), "faces": faces, "directions": directions}
+    tensors = {"seed_scores": torch.tensor([0.5, 0.1, 0.4]), "faces": faces, "directions": directions}
     save_tensors(tmp_path / "scene.safetensors", {**tensors, **scene_tensors(models)}, scene_texts(models[0]))
-    loaded = load_scenes(tmp_path / "scene.safetensors", torch.device("cpu"))
+    save_tensors(tmp_path / "mesh.safetensors", {}, {"seed": "2"})
+    loaded = load_scenes(tmp_path / "scene.safetensors", tmp_path / "mesh.safetensors", torch.device("cpu"))
     assert torch.equal(loaded.faces, faces)
     assert torch.equal(loaded.directions, directions)
     for ours, theirs in zip(loaded.generators, [models[2], models[0], models[1]], strict=True):

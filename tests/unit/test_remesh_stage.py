@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from pipeline.files import load_tensors, save_tensors
+from pipeline.networks.seed_choice import load_seed
 from stages import remesh
 from stages.command_line import run
 from tests.deformed_spheres import deformed_sphere
@@ -16,11 +17,12 @@ PARAMS = Path(__file__).parents[2] / "params.yaml"
 
 def write_base_shape(folder: Path, faces: Tensor) -> None:
     vertices, _, directions = deformed_sphere("car", 2)
-    save_tensors(folder / "base.safetensors", {"vertices": vertices, "faces": faces, "directions": directions}, {})
+    tensors = {"seed_vertices": torch.stack([directions, vertices]), "seed_scores": torch.tensor([2.0, 1.0])}
+    save_tensors(folder / "base.safetensors", {**tensors, "faces": faces, "directions": directions}, {})
 
 
-def run_stage(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    options = {"params": PARAMS, "sections": "remesh", "base-shape": folder / "base.safetensors"}
+def run_stage(folder: Path, monkeypatch: pytest.MonkeyPatch, chosen: str = "score") -> None:
+    options = {"params": PARAMS, "sections": "remesh", "base-shape": folder / "base.safetensors", "chosen": chosen}
     options |= {"out": folder / "out" / "mesh.safetensors", "metrics": folder / "out" / "mesh.json"}
     words = [word for name, value in options.items() for word in (f"--{name}", str(value))]
     monkeypatch.setattr(sys, "argv", ["remesh", *words])
@@ -39,6 +41,20 @@ def test_stage_writes_mesh_and_metrics(tmp_path: Path, monkeypatch: pytest.Monke
     metrics = json.loads((tmp_path / "out" / "mesh.json").read_text())
     assert metrics["faces_after"] == len(tensors["faces"])
     assert metrics["map_flipped_faces"] == 0
+
+
+def test_the_seed_that_is_named_is_remeshed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_base_shape(tmp_path, deformed_sphere("car", 2)[1])
+    roundness = {}
+    for chosen in ("score", "0"):
+        run_stage(tmp_path, monkeypatch, chosen)
+        radii = load_tensors(tmp_path / "out" / "mesh.safetensors")[0]["vertices"].norm(dim=1)
+        roundness[load_seed(tmp_path / "out" / "mesh.safetensors")] = radii.min() / radii.max()
+    assert roundness[0] > 0.95
+    assert roundness[1] < 0.8
+    for chosen in ("2", "-1", "best"):
+        with pytest.raises(SystemExit, match=rf"^error: .*'{chosen}'; expected 'score', or a seed from 0 to 1$"):
+            run_stage(tmp_path, monkeypatch, chosen)
 
 
 def test_open_mesh_is_one_sentence_and_leaves_nothing_behind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

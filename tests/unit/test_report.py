@@ -143,9 +143,11 @@ def test_single_stage_training_has_no_volume_of_a_base_shape_in_its_headline() -
     assert dropped == {"volume IoU of the base shape as trained"}
 
 
-def test_lowest_score_is_marked_as_chosen(tmp_path: Path) -> None:
+def test_the_seed_that_was_chosen_is_marked(tmp_path: Path) -> None:
     write_report(inputs(truth=False), CONFIG, tmp_path / "page", tmp_path / "figures")
-    assert "seed 1 · score 0.2500 <b>chosen</b>" in (tmp_path / "page/index.html").read_text()
+    text = (tmp_path / "page/index.html").read_text()
+    assert "seed 0 · score 0.5000 <b>chosen</b>" in text
+    assert text.count("<b>chosen</b>") == 2  # there, and beside its mesh
 
 
 def test_best_examples_have_the_least_distance() -> None:

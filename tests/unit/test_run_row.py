@@ -81,7 +81,7 @@ def test_a_row_brings_its_dataset_features_and_run(params: Path, tmp_path: Path)
     assert document["features"]["cifar10-laptop"] == expected
     run = document["runs"]["cifar10-horse"]
     assert (run["dataset"], run["category"], run["features"]) == ("cifar10", "horse", "cifar10-laptop")
-    assert document["base_shapes"][run.pop("base_shape")] == run
+    assert document["base_shapes"][run.pop("base_shape")] == run | {"chosen": "score"}
     lines = iter(params.read_text().splitlines())
     assert all(line in lines for line in before), "a line was changed or moved"
 
@@ -129,6 +129,17 @@ def test_names_say_what_is_unusual(params: Path, photographs: Path) -> None:
     document = YAML(typ="safe").load(params)
     assert document["runs"]["market-cart"]["row"] == "cifar10-automobile"
     assert document["datasets"]["market"]["source"] == str(photographs)
+
+
+def test_a_base_shape_that_was_chosen_stays_chosen(params: Path) -> None:
+    turn_on(params, _options("toybox-chair"))
+    document = round_trip_yaml().load(params)
+    document["base_shapes"]["toybox-chair"]["chosen"] = 2
+    round_trip_yaml().dump(document, params)
+    for ablation in ("none", "longer"):
+        name = turn_on(params, _options("toybox-chair", ablation=ablation))
+        document = YAML(typ="safe").load(params)
+        assert document["base_shapes"][document["runs"][name]["base_shape"]]["chosen"] == 2
 
 
 def test_a_second_row_for_the_same_photographs_is_refused(params: Path, photographs: Path) -> None:
