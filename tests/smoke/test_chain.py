@@ -12,6 +12,7 @@ import pytest
 from PIL import Image
 
 from pipeline.files import read_json
+from pipeline.networks.seed_choice import load_seed
 from stages.run_row import turn_on, turn_on_baseline
 from tests.smoke.tiny_project import commands, environment, make_tiny_project, read_params, run, write_params
 
@@ -114,6 +115,15 @@ def test_a_changed_number_runs_what_depends_on_it(project: Path) -> None:
     params["fine_tune"]["pose"]["steps"] += 1
     write_params(project, params)
     assert _stages_run(run(project, "dvc", "repro")) == ["fine_tune", "evaluate", "report"]
+
+
+def test_another_base_shape_is_taken_without_learning_it_again(project: Path) -> None:
+    other = 1 - read_json(project / "results/metrics/base_shape/toybox-car.json")["best_seed"]
+    params = read_params(project)
+    params["base_shapes"]["toybox-car"]["chosen"] = other
+    write_params(project, params)
+    assert _stages_run(run(project, "dvc", "repro", "train_full@toybox-car")) == ["remesh", "train_full"]
+    assert load_seed(project / "models/remesh/toybox-car.safetensors") == other
 
 
 def test_a_misspelt_number_is_one_sentence_and_nothing_is_written(project: Path, tmp_path: Path) -> None:
