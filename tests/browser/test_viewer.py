@@ -157,7 +157,7 @@ def test_a_card_leads_to_its_mesh_and_a_shape_without_colours_is_clay(open_page:
     page.locator("a[data-exhibit=seed-1]").click()
     page.locator("canvas[aria-busy=false]").wait_for()
     assert page.locator(".shown").inner_text() == "seed 1"
-    assert "score 0.2500 chosen" in page.locator(".beside:visible").inner_text()
+    assert "score 0.2500 · before" in page.locator(".beside:visible").inner_text()
     assert page.get_by_role("radio", name="texture").is_disabled()
     shade = color(seen(page), 0.5)
     assert numpy.ptp(shade) < 0.1
@@ -165,6 +165,7 @@ def test_a_card_leads_to_its_mesh_and_a_shape_without_colours_is_clay(open_page:
     assert len(numpy.unique(seen(page).reshape(-1, 3), axis=0)) > 100
     page.get_by_role("radio", name="seed 1").press("ArrowLeft")
     assert page.locator(".shown").inner_text() == "seed 0"
+    assert "score 0.5000 chosen · before" in page.locator(".beside:visible").inner_text()
 
 
 TAKING_OVER: dict[str, Callable[[Page], None]] = {
