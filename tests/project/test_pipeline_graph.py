@@ -91,8 +91,8 @@ def test_what_runs_name_is_on() -> None:
         assert run["dataset"] in PARAMS["datasets"], name
         assert PARAMS["features"][run["features"]]["dataset"] == run["dataset"], name
         base_shape = PARAMS["base_shapes"][run["base_shape"]]
-        own = {"ablation": run["ablation"], "chosen": base_shape["chosen"]}
-        assert base_shape | own == {name: run[name] for name in run if name != "base_shape"} | own, name
+        own = {"ablation": run["ablation"], "base_shape": run["base_shape"]}
+        assert base_shape | own == run | {"chosen": base_shape["chosen"]}, name
 
 
 def test_no_artifact_path_stands_in_the_code() -> None:
