@@ -32,7 +32,7 @@ class GroundTruth(NamedTuple):
     roll: Float[np.ndarray, "B"]
     """Radians."""
     center: Float[np.ndarray, "B 2"]
-    """Where the middle of the object's bounding box falls in the picture, in ndc."""
+    """Where the world's origin, the middle of the object's cube, falls in the picture, in ndc."""
     scale: Float[np.ndarray, "B"]
     """Factor on the size that the reference camera gives."""
     masks: UInt8[np.ndarray, "B H W"]
