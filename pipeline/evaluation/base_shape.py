@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pipeline.evaluation.alignment import turn_vertices
 from pipeline.evaluation.artifacts import TrueObjects
-from pipeline.evaluation.shape import iou
+from pipeline.evaluation.shape import pairwise_iou
 from pipeline.evaluation.statistics import mean_figure
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.voxels import voxelize
@@ -28,13 +28,12 @@ def base_shape_figures(
     """Measure the volume IoU of every seed's base shape with the true shapes of the test pictures.
 
     Base shapes have no poses to align them by: each is turned about +y to the one of 24 angles at which it overlaps
-    most with the mean shape of the training split. `voxel_iou` summarizes the seeds (n of them), `chosen` the test
+    most with the training split's shapes, on average. `voxel_iou` summarizes the seeds (n of them), `chosen` the test
     pictures under the seed that the label-free score chose.
     """
-    mean_shape = voxelize(training.vertices, training.faces, resolution).double().mean(0) >= 0.5
-    truth = voxelize(test.vertices, test.faces, resolution)
-    overlaps = [iou(voxels.expand_as(truth), truth) for voxels in _aligned(seeds, faces, mean_shape)]
-    means = torch.stack(overlaps).mean(1)
+    known, truth = (voxelize(true.vertices, true.faces, resolution) for true in (training, test))
+    overlaps = pairwise_iou(_aligned(seeds, faces, known), truth)
+    means = overlaps.mean(1)
     return {
         "voxel_iou": mean_figure(means),
         "chosen": {"voxel_iou": mean_figure(overlaps[chosen])},
@@ -43,11 +42,11 @@ def base_shape_figures(
 
 
 def _aligned(
-    seeds: Float[Tensor, "S V 3"], faces: Int[Tensor, "F 3"], mean_shape: Bool[Tensor, "K K K"]
+    seeds: Float[Tensor, "S V 3"], faces: Int[Tensor, "F 3"], known: Bool[Tensor, "B K K K"]
 ) -> Bool[Tensor, "S K K K"]:
-    """Voxelize shapes in the turn about +y that suits the mean shape best."""
+    """Voxelize shapes in the turn about +y that suits the known ones best."""
     angles = [2 * math.pi * turn / TURNS for turn in range(TURNS)]
     turned = (fit_unit_cube(turn_vertices(seeds, angle)) for angle in angles)
-    voxels = torch.stack([voxelize(shapes, faces, len(mean_shape)) for shapes in turned])
-    overlaps = torch.stack([iou(shapes, mean_shape.expand_as(shapes)) for shapes in voxels])
+    voxels = torch.stack([voxelize(shapes, faces, known.shape[-1]) for shapes in turned])
+    overlaps = torch.stack([pairwise_iou(shapes, known).mean(1) for shapes in voxels])
     return voxels[overlaps.argmax(dim=0), torch.arange(len(seeds))]

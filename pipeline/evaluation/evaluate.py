@@ -15,7 +15,7 @@ from pipeline.evaluation.image_metrics import image_columns, image_figures
 from pipeline.evaluation.multiview import MultiviewConfig
 from pipeline.evaluation.pose_metrics import baseline_figures, pose_columns, pose_figures
 from pipeline.evaluation.retrieval import retrieve
-from pipeline.evaluation.shape import iou, vertex_deviation
+from pipeline.evaluation.shape import fit_constant, iou, vertex_deviation
 from pipeline.evaluation.shape_metrics import ShapeMetricsConfig, TrueShapes, silhouettes
 from pipeline.evaluation.statistics import Figure, mean_figure
 from pipeline.geometry.camera import Pose
@@ -149,10 +149,10 @@ def _evaluate_shape(
     if learned.final_base is not None:
         final_base = turn_vertices(learned.final_base, angle)
         figures["final_base"] = shapes.base_figures(final_base, learned.reconstructions.faces, rng)
-    typical_mask = training.masks.double().mean(0) >= 0.5
+    constant_mask = fit_constant(training.masks)
     figures["constant"] = {
         "voxel_iou": shapes.constant_figure(),
-        "mask_iou": mean_figure(iou(typical_mask.expand_as(test.masks), test.masks)),
+        "mask_iou": mean_figure(iou(constant_mask.expand_as(test.masks), test.masks)),
     }
     return figures, _flatten(columns)
 

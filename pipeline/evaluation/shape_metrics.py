@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from pipeline.evaluation.artifacts import Snapshot, TrueObjects
-from pipeline.evaluation.shape import chamfer_l1, iou, proportions, sample_outer_surface
+from pipeline.evaluation.shape import chamfer_l1, fit_constant, iou, proportions, sample_outer_surface
 from pipeline.evaluation.statistics import Figure, correlation_figure, mean_figure
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.voxels import voxelize
@@ -32,7 +32,7 @@ class ShapeMetricsConfig:
 
 
 class TrueShapes:
-    """The true shapes of the test pictures, voxelized and sampled once, and the mean shape of the training split."""
+    """The true shapes of the test pictures, voxelized and sampled once, and what is typical of the training split."""
 
     def __init__(
         self, truth: TrueObjects, training: TrueObjects, config: ShapeMetricsConfig, rng: torch.Generator
@@ -43,6 +43,7 @@ class TrueShapes:
         self.points = sample_outer_surface(truth.vertices, truth.faces, self.voxels, config.surface_points, rng)
         occupied = voxelize(training.vertices, training.faces, config.voxel_resolution)
         self.mean_shape: Bool[Tensor, "K K K"] = occupied.double().mean(0) >= 0.5
+        self.constant: Bool[Tensor, "K K K"] = fit_constant(occupied)
 
     def columns(self, vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], rng: torch.Generator) -> Columns:
         """Compare one shape per picture, already in the frame of the truth, with the picture's true shape.
@@ -80,8 +81,8 @@ class TrueShapes:
         }
 
     def constant_figure(self) -> Figure:
-        """Compare the training split's mean shape with every test picture's shape: the best a constant can do."""
-        return mean_figure(iou(self.mean_shape.expand_as(self.voxels), self.voxels))
+        """Compare the one shape that suits the training split best with every test picture's shape."""
+        return mean_figure(iou(self.constant.expand_as(self.voxels), self.voxels))
 
 
 def silhouettes(

@@ -114,10 +114,10 @@ TABLES: dict[str, Table | Confusion] = {
             "shapes differ by": "vertex_deviation.predicted",
             "correlation of widths": "shape.test.width_correlation",
             "of heights": "shape.test.height_correlation",
-            "mean shape of the truth": "shape.constant.voxel_iou",
+            "best constant shape": "shape.constant.voxel_iou",
             "masks predicted": "shape.test.mask_iou",
             "masks fine-tuned": "shape.test_tuned.mask_iou",
-            "mean training mask": "shape.constant.mask_iou",
+            "best constant mask": "shape.constant.mask_iou",
         },
     ),
     "reconstructions": Table(

@@ -17,6 +17,13 @@ def cars(count: int) -> TrueObjects:
     return TrueObjects(torch.zeros(count, 4, 4, dtype=torch.bool), LONG * widths, FACES)
 
 
+def horned() -> TrueObjects:
+    """Return balls with a horn ahead: above, below, on the left or on the right, so that no two are in one place."""
+    horns = torch.tensor([[0.0, 0.6, 0.8], [0, -0.6, 0.8], [0.6, 0, 0.8], [-0.6, 0, 0.8]])
+    lengths = 1 + (DIRECTIONS @ horns.T > 0.9)
+    return TrueObjects(torch.zeros(4, 4, 4, dtype=torch.bool), 0.25 * DIRECTIONS * lengths.T[..., None], FACES)
+
+
 def test_every_seed_is_compared_in_its_best_turn() -> None:
     seeds = torch.stack([DIRECTIONS / 2, turn_vertices(LONG, math.radians(60))])
     figures = base_shape_figures(seeds, FACES, 1, cars(6), cars(4), 16)
@@ -26,3 +33,12 @@ def test_every_seed_is_compared_in_its_best_turn() -> None:
     assert figures["voxel_iou"]["n"] == 2
     assert figures["chosen"]["voxel_iou"]["value"] == pytest.approx(long)
     assert figures["chosen"]["voxel_iou"]["n"] == 4
+
+
+def test_what_few_shapes_have_in_one_place_tells_the_turn_too() -> None:
+    true = horned()
+    figures = [
+        base_shape_figures(turn_vertices(true.vertices, angle), FACES, 0, true, true, 16)["seeds"]
+        for angle in (0, math.pi)
+    ]
+    assert list(figures[1].values()) == pytest.approx(list(figures[0].values()), abs=0.02)

@@ -2,6 +2,7 @@ import torch
 
 from pipeline.evaluation.shape import (
     chamfer_l1,
+    fit_constant,
     iou,
     proportions,
     sample_outer_surface,
@@ -26,6 +27,14 @@ def test_iou_of_boxes() -> None:
     assert iou(box(1, 3), box(0, 4)).item() == 1 / 8
     assert iou(box(0, 4), box(4, 8)).item() == 0
     assert iou(box(0, 0), box(0, 0)).item() == 1
+
+
+def test_the_best_constant_shape_may_hold_what_few_shapes_fill() -> None:
+    halves, apart = torch.cat([box(0, 4), box(4, 8)]), torch.cat([box(0, 2), box(2, 4), box(4, 6), box(6, 8)])
+    assert torch.equal(fit_constant(apart), apart.any(dim=0))  # no voxel is in two of them
+    assert torch.equal(fit_constant(torch.cat([halves, box(0, 4)])), box(0, 4)[0])
+    masks = torch.tensor([[[True, True, False]], [[True, False, False]], [[True, False, True]]])
+    assert torch.equal(fit_constant(masks), masks[1])
 
 
 def test_chamfer_of_shifted_grids_is_the_shift() -> None:
