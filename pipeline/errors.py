@@ -1,6 +1,7 @@
 """Errors whose message is written for the person at the terminal, and how they get there."""
 
 import errno
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,6 +23,8 @@ _OUTSIDE = {
 """What a file system refuses for reasons that lie outside of the program."""
 _INTERRUPTED = 130
 """Status of a program that was stopped by Ctrl-C."""
+_UNREAD = 141
+"""Status of a program whose output nobody reads any more, as after `| head`."""
 
 
 class UserError(Exception):
@@ -60,12 +63,18 @@ class DeviceError(UserError):
 def in_one_sentence() -> Iterator[None]:
     """End the program with one sentence and status 1, without a traceback, for what the user can put right.
 
-    That is any UserError, and files that cannot be read or written. Ctrl-C ends it with status 130.
+    That is any UserError, and files that cannot be read or written. Ctrl-C ends it with status 130, a closed pipe with
+    141.
     """
     try:
         yield
+        sys.stdout.flush()
     except UserError as error:
         sys.exit(f"error: {error}")
+    except BrokenPipeError:
+        # What is still to be printed, which Python tries once more at its end, goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(_UNREAD)
     except OSError as error:
         if error.errno not in _OUTSIDE:
             raise

@@ -1,5 +1,6 @@
 """Which photographs to reconstruct, and where what comes of them is written."""
 
+import hashlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import NamedTuple
 from pipeline.datasets.archives import walk
 from pipeline.datasets.folder import ENDINGS, is_hidden
 from pipeline.errors import DataError
+from pipeline.files import atomic_path
 
 FILES: Mapping[str, Sequence[str]] = {
     "mesh": (".glb", ".obj", ".mtl", "_texture.png"),
@@ -17,6 +19,10 @@ FILES: Mapping[str, Sequence[str]] = {
     "pose": ("_pose.json",),
 }
 """Endings of the files of each output."""
+RECORD = "reconstruct.json"
+"""Says in a folder of outputs which model made them, and how."""
+ORIGIN = "_photograph.sha256"
+"""Ending of the file that says which photograph outputs are made of."""
 
 
 class Target(NamedTuple):
@@ -39,6 +45,26 @@ class Task(NamedTuple):
     photograph: Path
     target: Target
 
+    def done(self, outputs: Sequence[str]) -> bool:
+        """Whether the outputs are there. Raises DataError where they, or some of them, are of another photograph."""
+        origin = self.target.file(ORIGIN)
+        if not origin.is_file():
+            return False
+        if origin.read_text(encoding="utf-8") != self._digest():
+            raise DataError(
+                f"{self.target.path} is made of another photograph than {self.photograph} is now; name another folder, "
+                f"or remove {origin.name} there to write over it"
+            )
+        return self.target.done(outputs)
+
+    def claim(self) -> None:
+        """Say at the target that what is going to be written there is made of this photograph."""
+        with atomic_path(self.target.file(ORIGIN)) as temporary:
+            temporary.write_text(self._digest(), encoding="utf-8")
+
+    def _digest(self) -> str:
+        return hashlib.sha256(self.photograph.read_bytes()).hexdigest()
+
 
 def find_targets(out: Path, outputs: Sequence[str]) -> list[Target]:
     """List by name what a folder of outputs, as far as it exists, holds all of these outputs of."""
@@ -47,15 +73,16 @@ def find_targets(out: Path, outputs: Sequence[str]) -> list[Target]:
     return sorted(target for target in found if target.done(outputs))
 
 
-def find_photographs(folder: Path, without: Path | None = None) -> list[Path]:
-    """List the photographs below a folder by name, without hidden ones and those below another folder.
+def find_photographs(folder: Path) -> list[Path]:
+    """List the photographs below a folder by name, without hidden ones and what was made of photographs.
 
     Raises DataError where there is no folder, where it has none, and for a folder in it that is a link.
     """
     if not folder.is_dir():
         raise DataError(f"{folder} does not exist; give the path of a photograph or of a folder of photographs")
-    images = (file for file in visible_files(folder) if file.suffix.lower() in ENDINGS)
-    found = sorted(file for file in images if without is None or without not in file.resolve().parents)
+    files = list(visible_files(folder))
+    made = {file.parent for file in files if file.name == RECORD}
+    found = sorted(file for file in files if file.suffix.lower() in ENDINGS and made.isdisjoint(file.parents))
     if not found:
         raise DataError(f"{folder} holds no photographs ({' '.join(sorted(ENDINGS))}); give another folder")
     return found
@@ -69,8 +96,8 @@ def visible_files(folder: Path) -> Iterator[Path]:
 def list_tasks(paths: Sequence[Path], out: Path) -> list[Task]:
     """List the photographs among files and, at any depth, folders, whose arrangement the outputs keep.
 
-    Where `out` is a folder inside one of photographs, what lies in it is left out, so that a call can be repeated. A
-    photograph that is named twice is listed once.
+    Folders of earlier outputs inside of one of photographs are left out. A photograph that is named twice is listed
+    once.
 
     Raises DataError for a path that does not exist, a folder without photographs, two photographs of one name, and an
     `out` that is the photographs' own folder, in which nothing would tell them from what is written.
@@ -91,8 +118,7 @@ def _tasks(path: Path, out: Path) -> Iterator[Task]:
     if path.is_file():
         yield Task(path, Target(out / _plain(path.name)))
         return
-    inside = path.resolve() in out.resolve().parents
-    for file in find_photographs(path, without=out.resolve() if inside else None):
+    for file in find_photographs(path):
         yield Task(file, Target((out / file.relative_to(path)).with_name(_plain(file.name))))
 
 
@@ -101,4 +127,4 @@ def _plain(name: str) -> str:
 
     Without spaces too, which readers of OBJ take for the end of a name, and without bytes that are no text in UTF-8.
     """
-    return re.sub(r"[\udc80-\udcff]", "_", "_".join(Path(name).stem.split()))
+    return re.sub(r"[\udc80-\udcff]", "_", "_".join(Path(name).stem.split())) or "_"

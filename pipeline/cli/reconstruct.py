@@ -15,7 +15,7 @@ from torch.nn import functional
 from tqdm import tqdm
 
 from pipeline.cli.gallery import write_gallery
-from pipeline.cli.photographs import FILES, Target, Task, find_targets
+from pipeline.cli.photographs import FILES, RECORD, Target, Task, find_targets
 from pipeline.cli.runs import Run
 from pipeline.config import load, scalar
 from pipeline.datasets.decoding import Fit, decode, decode_up_to, reading
@@ -38,8 +38,6 @@ from pipeline.rendering.renderer import Mesh, render
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.fine_tune import FineTuneConfig, fine_tune
 
-RECORD = "reconstruct.json"
-"""Says in the folder of outputs which model made them, and how."""
 PAGE = "index.html"
 """Shows the meshes in the folder of outputs, first those of the last call."""
 PAGED = ("mesh", "picture", "pose")
@@ -101,28 +99,45 @@ def reconstruct(
     settings = repr([fit, report.frames, report.view, sha256(run.features), *chosen])
     way = {"model": sha256(run.model), **steps._asdict(), "settings": hashlib.sha256(settings.encode()).hexdigest()}
     _require_same_way(out, way)
-    write_json(out / RECORD, way)
-    waiting = [task for task in tasks if not task.target.done(outputs)]
+    out.mkdir(parents=True, exist_ok=True)
+    waiting, failures = _waiting(tasks, outputs)
+    skipped, written = len(tasks) - len(waiting) - len(failures), 0
     extractor = load_feature_extractor(run.features, device, resolve_precision(scalar(run.params, "precision"), device))
     find = partial(_fine_tuned, config=config) if steps.fine_tune else _inferred
-    failures: list[str] = []
     with tqdm(total=len(waiting), desc="reconstructing", unit="photograph", disable=None) as progress:
         for start in range(0, len(waiting), config.batch_size):
             readable, images = _read(waiting[start : start + config.batch_size], model, fit, failures)
             progress.update(min(config.batch_size, len(waiting) - start) - len(readable))
             if not readable:
                 continue
+            write_json(out / RECORD, way)
             for task, found in zip(readable, find(images.to(device), model, extractor), strict=True):
                 shown = _painted(found, task, model, fit, painting) if steps.paint else found
+                task.claim()
                 _write(task.target, shown, model, report, outputs)
                 if "picture" in outputs:
                     write_png(task.target.file("_photograph.png"), _seen(task, fit, _SEEN_SIZE))
+                written += 1
                 progress.update()
     latest = {task.target for task in tasks}
     done = sorted(find_targets(out, PAGED), key=lambda target: target not in latest)
     if done:
         write_gallery(out / PAGE, done, model.config.renderer.camera)
-    return Outcome(len(waiting) - len(failures), len(tasks) - len(waiting), failures, out / PAGE if done else None)
+    return Outcome(written, skipped, failures, out / PAGE if done else None)
+
+
+def _waiting(tasks: Sequence[Task], outputs: Sequence[str]) -> tuple[list[Task], list[str]]:
+    """Leave out photographs that are reconstructed, and say a sentence for each of those that cannot be."""
+    waiting, failures = [], []
+    for task in tasks:
+        try:
+            with reading(str(task.photograph)):
+                done = task.done(outputs)
+        except DataError as error:
+            failures.append(str(error))
+        else:
+            waiting.extend([] if done else [task])
+    return waiting, failures
 
 
 def _read(

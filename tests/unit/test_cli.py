@@ -76,7 +76,7 @@ def pixels(path: Path) -> UInt8[Tensor, "H W 3"]:
 
 def test_photographs_become_textured_meshes(project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pictures = ["_photograph.png", "_reconstruction.png", "_texture.png", "_turntable.gif"]
-    endings = [".glb", ".mtl", ".obj", "_pose.json", *pictures]
+    endings = [".glb", ".mtl", ".obj", "_photograph.sha256", "_pose.json", *pictures]
     written = reconstruct(project, str(tmp_path / "car.png"), str(tmp_path / "van.png"))
     assert written == sorted(
         ["index.html", "reconstruct.json"] + [f"{name}{ending}" for name in ("car", "van") for ending in endings]
@@ -209,13 +209,42 @@ def test_a_model_of_other_code_names_the_stage_that_makes_it(project: Path, tmp_
         reconstruct(project, str(tmp_path / "car.png"))
 
 
-def test_what_was_written_into_a_folder_of_photographs_is_none_of_them(tmp_path: Path) -> None:
-    out = tmp_path / "meshes"
-    out.mkdir()
-    for file in (tmp_path / "car.png", out / "car_texture.png"):
-        file.touch()
-    assert list_tasks([tmp_path], out) == [Task(tmp_path / "car.png", Target(out / "car"))]
-    assert list_tasks([out], tmp_path) == [Task(out / "car_texture.png", Target(tmp_path / "car_texture"))]
+def test_what_was_made_of_photographs_is_none_of_them(tmp_path: Path) -> None:
+    made = {f"{folder}/{name}": b"" for folder in ("meshes", "sub/painted") for name in ("reconstruct.json", "x/a.png")}
+    write_folder(tmp_path / "cars", {"car.png": b"", "sub/van.png": b"", **made})
+    for out in (tmp_path / "cars/meshes", tmp_path / "cars/more", tmp_path / "elsewhere"):
+        assert list_tasks([tmp_path / "cars"], out) == [
+            Task(tmp_path / "cars/car.png", Target(out / "car")),
+            Task(tmp_path / "cars/sub/van.png", Target(out / "sub/van")),
+        ]
+
+
+def test_what_is_made_of_another_photograph_stays(
+    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "other").mkdir()
+    shutil.copy(tmp_path / "van.png", tmp_path / "other/car.png")
+    reconstruct(project, str(tmp_path / "car.png"), "--outputs", "pose")
+    first = (project / "out/car_pose.json").read_text()
+    photographs = [str(tmp_path / "other/car.png"), str(tmp_path / "van.png")]
+    with pytest.raises(
+        SystemExit, match=r"^error: \S*out/car is made of another photograph than \S*other/car.png is n"
+    ):
+        reconstruct(project, *photographs, "--outputs", "pose")
+    assert "1 written to" in (printed := capsys.readouterr().out.splitlines()[-1])
+    assert "0 already there, 1 failed" in printed
+    assert (project / "out/car_pose.json").read_text() == first
+    (project / "out/car_photograph.sha256").unlink()
+    reconstruct(project, *photographs, "--outputs", "pose")
+    assert "1 already there, 0 failed" in capsys.readouterr().out
+    assert (project / "out/car_pose.json").read_text() == (project / "out/van_pose.json").read_text() != first
+
+
+def test_a_folder_without_reconstructions_is_free_for_any(project: Path, tmp_path: Path) -> None:
+    (tmp_path / "broken.png").touch()
+    with pytest.raises(SystemExit, match=r"broken\.png cannot be read as a picture"):
+        reconstruct(project, str(tmp_path / "broken.png"))
+    assert "car_pose.json" in reconstruct(project, str(tmp_path / "car.png"), "--outputs", "pose", "--fine-tune")
 
 
 def test_photographs_and_what_is_written_do_not_share_a_folder(tmp_path: Path) -> None:
@@ -250,6 +279,7 @@ def test_a_stopped_reconstruction_goes_on_where_it_stopped(
 
 def test_a_turntable_may_be_a_film(project: Path, tmp_path: Path) -> None:
     assert reconstruct(project, str(tmp_path / "car.png"), "--outputs", "video") == [
+        "car_photograph.sha256",
         "car_turntable.mp4",
         "reconstruct.json",
     ]
@@ -318,6 +348,22 @@ def test_a_folder_that_cannot_be_written_is_said_before_anything_is_inferred(pro
     (project / "out").touch()
     with pytest.raises(SystemExit, match=r"^error: .*out.*(Not a directory|File exists); look at the path"):
         reconstruct(project, str(tmp_path / "car.png"))
+
+
+def test_a_name_of_spaces_becomes_one(tmp_path: Path) -> None:
+    (tmp_path / " .png").touch()
+    for given in (tmp_path, tmp_path / " .png"):
+        assert list_tasks([given], tmp_path / "out") == [Task(tmp_path / " .png", Target(tmp_path / "out/_"))]
+
+
+def test_a_closed_pipe_is_no_error(project: Path) -> None:
+    words = [sys.executable, "-m", "pipeline.cli", "--project", str(project), "doctor"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == 141
 
 
 def test_spaces_in_names_become_underscores(project: Path, tmp_path: Path) -> None:
