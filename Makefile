@@ -4,6 +4,8 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 TOOLS := .venv/.tools_installed
+# Words after `make run`; what the environment calls by such names is no option.
+OPTIONS := $(foreach option,ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASELINE,$(if $(filter command,$(firstword $(origin $(option)))),$(if $($(option)),$(option))))
 # The stages' commands in dvc.yaml call `python`.
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 # Threads that wait should spin for a moment and then sleep: spinning on halves the speed of a busy machine, sleeping at
@@ -17,9 +19,9 @@ repro: $(STAMP)  ## run the pipeline: by default the toybox car, from pictures t
 
 install: $(STAMP)  ## set up the environment alone
 
-run: $(if $(BASELINE),$(TOOLS),$(STAMP))  ## add a run to params.yaml and run it: ROW= SIZE=laptop|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASELINE=
-	@test -n "$(ROW)" || { echo "name a row: make run ROW=toybox-car, or another of those in params.yaml" >&2; exit 2; }
-	python -m stages.run_row $(foreach option,ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASELINE,$(if $($(option)),--$(shell echo $(option) | tr A-Z a-z) "$($(option))"))
+run: $(if $(filter BASELINE,$(OPTIONS)),$(TOOLS),$(STAMP))  ## add a run to params.yaml and run it: ROW= SIZE=laptop|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASELINE=
+	@test -n "$(filter ROW,$(OPTIONS))" || { echo "name a row: make run ROW=toybox-car, or another of those in params.yaml" >&2; exit 2; }
+	python -m stages.run_row $(foreach option,$(OPTIONS),--$(shell echo $(option) | tr A-Z a-z) "$($(option))")
 
 test: $(TOOLS)  ## the whole test suite
 	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 pytest --numprocesses 2 --dist loadfile

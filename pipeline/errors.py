@@ -63,8 +63,8 @@ class DeviceError(UserError):
 def in_one_sentence() -> Iterator[None]:
     """End the program with one sentence and status 1, without a traceback, for what the user can put right.
 
-    That is any UserError, and files that cannot be read or written. Ctrl-C ends it with status 130, a closed pipe with
-    141.
+    That is any UserError, files that cannot be read or written, and memory that does not suffice. Ctrl-C ends it with
+    status 130, a closed pipe with 141.
     """
     try:
         yield
@@ -80,6 +80,20 @@ def in_one_sentence() -> Iterator[None]:
             raise
         where = f"{error.filename}: " if error.filename else ""
         sys.exit(f"error: {where}{error.strerror}; look at the path, its permissions and the space that is left")
+    except (MemoryError, RuntimeError) as error:
+        if not lacks_memory(error):
+            raise
+        reason = str(error).partition("\n")[0]
+        sys.exit(
+            f"error: there is not enough memory ({reason}); lower `memory` or this stage's batch_size in params.yaml"
+        )
     except KeyboardInterrupt:
         sys.stderr.write("stopped\n")
         sys.exit(_INTERRUPTED)
+
+
+def lacks_memory(error: Exception) -> bool:
+    """Tell whether NumPy, PyTorch on a CPU or PyTorch on a GPU could not allocate."""
+    return isinstance(error, MemoryError) or any(
+        words in str(error) for words in ("can't allocate memory", "CUDA out of memory")
+    )

@@ -19,7 +19,7 @@ import torch.distributed as dist
 from torch.multiprocessing.spawn import ProcessException, ProcessExitedException, spawn
 
 from pipeline.device import prepare_process
-from pipeline.errors import ConfigError, ProcessKilled, UserError
+from pipeline.errors import ConfigError, ProcessKilled, UserError, lacks_memory
 
 _END_WITH_PARENT = 1
 """PR_SET_PDEATHSIG of `prctl`."""
@@ -36,8 +36,8 @@ def share_work(processes: int, device: torch.device, function: Callable[..., Non
     device is one; threads are divided among them, and the function must be importable and its arguments picklable.
     Under torchrun this process is one of the group already, on any number of hosts, and `processes` is not used.
 
-    When any process ends before its work is done, all do. Raises the UserError or OSError of the first one that had
-    one, and ProcessKilled where one was killed.
+    When any process ends before its work is done, all do. Raises the UserError, OSError or lack of memory of the
+    first one that had one, and ProcessKilled where one was killed.
     """
     if dist.is_torchelastic_launched():
         _work(int(os.environ["LOCAL_RANK"]), device, {}, function, arguments)
@@ -103,6 +103,11 @@ def _started(
         _work(rank, device, group, function, arguments)
     except (UserError, OSError) as error:
         errors.put(error)
+        sys.exit(1)
+    except (MemoryError, RuntimeError) as error:
+        if not lacks_memory(error):
+            raise
+        errors.put(MemoryError(str(error)))
         sys.exit(1)
 
 

@@ -61,9 +61,10 @@ def turn_on(path: Path, options: Namespace) -> str:
     leaves base shapes as they are shares the base shape of the run without ablation.
 
     Raises ConfigError for a row, size or ablation that does not exist, for an ablation that would shorten the size's
-    training, for names that are not plain, for a dataset whose source is not known, that lacks this category or another
-    that is learned from it, or whose pictures have another size, for features whose weights are not known, and for a
-    run, a base shape or features of that name that are on with other settings.
+    training, for a size at which the baseline cannot draw, for names that are not plain, for a dataset whose source is
+    not known, that lacks this category or another that is learned from it, or whose pictures have another size, for
+    features whose weights are not known, and for a run, a base shape or features of that name that are on with other
+    settings.
     """
     for section in (*SWITCHES, "rows", "sizes", "ablations"):
         scalar(path, section)
@@ -81,8 +82,11 @@ def turn_on(path: Path, options: Namespace) -> str:
     if dataset == EMBEDDED and options.source is not None:
         raise ConfigError(f"'{EMBEDDED}' is the embedded data set and has no SOURCE=; name yours with DATASET=")
     sections = ("learn_base_shape", f"rows.{options.row}.learn_base_shape", f"sizes.{options.size}.learn_base_shape")
+    config = load(path, BaseShapeConfig, sections)
+    if options.baseline == "hologan":
+        _require_that_hologan_draws(document, options.size, config.renderer.size)
     contents = None if options.source is None else survey(_existing("SOURCE", options.source))
-    _turn_on_dataset(document, dataset, contents, load(path, BaseShapeConfig, sections))
+    _turn_on_dataset(document, dataset, contents, config)
     _require_category(document, dataset, category, contents)
     features = f"{dataset}-{options.size}"
     _turn_on_features(document, features, {"dataset": dataset, "size": options.size, "seed": 0}, options.features)
@@ -128,6 +132,15 @@ def _require_no_shorter(document: CommentedMap, options: Namespace) -> None:
         raise ConfigError(
             f"ablation '{options.ablation}' trains for {iterations} iterations, fewer than the {usual} of size "
             f"'{options.size}'; leave one of the two out"
+        )
+
+
+def _require_that_hologan_draws(document: CommentedMap, size: str, picture_size: int) -> None:
+    """Refuse a size whose pictures are larger than those that HoloGAN draws at it."""
+    drawn = merge(document["train_hologan"], document["sizes"][size]["train_hologan"])["network"]["image_size"]
+    if drawn != picture_size:
+        raise ConfigError(
+            f"HoloGAN draws {drawn} px, but pictures of size '{size}' have {picture_size} px; choose another SIZE="
         )
 
 

@@ -56,11 +56,10 @@ def train(arguments: Namespace, device: torch.device) -> None:
 
 
 def save(trainer: FullTrainer, path: Path) -> None:
-    """Write the model and what it recorded of each training photograph."""
+    """Write the model and the poses it recorded of the training photographs."""
     tensors = {
         **trainer.model.state_dict(),
         "train_pose": pose_to_tensor(trainer.recorded_pose()),
-        "train_shape": trainer.record.shape,
         "train_visits": trainer.visits,
     }
     save_tensors(path, tensors, full_model_texts(trainer.model))

@@ -7,13 +7,22 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, ImageCms
 
 
 def picture(color: tuple[int, int, int] = (200, 30, 30), width: int = 32, height: int = 32, mode: str = "RGB") -> bytes:
     """Encode a picture of one colour as PNG."""
     stream = io.BytesIO()
     Image.new("RGB", (width, height), color).convert(mode).save(stream, "PNG")
+    return stream.getvalue()
+
+
+def swapped(mode: str) -> bytes:
+    """Encode a picture of (40, 200, 90) in sRGB as PNG, with a colour profile in which red and green are swapped."""
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    profile = profile.replace(b"rXYZ", b"?XYZ").replace(b"gXYZ", b"rXYZ").replace(b"?XYZ", b"gXYZ")
+    flat, stream = Image.new("RGB", (32, 32), (200, 40, 90)), io.BytesIO()
+    (flat.quantize(2) if mode == "P" else flat.convert(mode)).save(stream, "PNG", icc_profile=profile)
     return stream.getvalue()
 
 

@@ -11,7 +11,7 @@ from PIL import Image, ImageOps
 from tqdm import tqdm
 
 from pipeline.cli.photographs import find_photographs, visible_files
-from pipeline.datasets.decoding import reading
+from pipeline.datasets.decoding import reading, to_srgb
 from pipeline.datasets.folder import ENDINGS
 from pipeline.datasets.prepared import is_plain
 from pipeline.errors import DataError
@@ -41,10 +41,11 @@ class Arranged(NamedTuple):
 def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged:
     """Write the photographs below a folder as `train/<category>/*.jpg` and, every tenth, `test/<category>/*.jpg`.
 
-    They are turned upright, become RGB, on white where they are transparent, and are made smaller until their long side
-    is 1024 px or their short side `least_side`. Those that cannot be read, whose short side is below `least_side`, or
-    that would still be longer than a JPEG can be, are left out. Raises DataError for an `out` that exists or is inside
-    of the folder, for a folder in it that is a link, and where fewer than two photographs are left.
+    They are turned upright, become RGB in the colours of sRGB, on white where they are transparent, and are made
+    smaller until their long side is 1024 px or their short side `least_side`. Those that cannot be read, whose short
+    side is below `least_side`, or that would still be longer than a JPEG can be, are left out. Raises DataError for an
+    `out` that exists or is inside of the folder, for a folder in it that is a link, and where fewer than two
+    photographs are left.
     """
     if not is_plain(category):
         raise DataError(f"the category is '{category}'; expected a name of letters, digits, _ and - (a to z)")
@@ -68,7 +69,8 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
             picture.save(target, quality=95)
             counts[split] += 1
         if not counts["train"]:
-            raise DataError(f"{folder} has {counts['test']} photographs that can be used; expected at least 2")
+            first = f" ({left_out[0]})" if left_out else ""
+            raise DataError(f"{folder} has {counts['test']} photographs that can be used{first}; expected at least 2")
     endings = Counter(path.suffix.lower() for path in visible_files(folder))
     passed_over = {ending: count for ending, count in endings.items() if ending not in ENDINGS}
     return Arranged(counts["train"], counts["test"], left_out, passed_over)
@@ -81,11 +83,12 @@ def _upright(path: Path, least_side: int) -> Image.Image:
     if min(picture.size) < least_side:
         size = f"{picture.width}x{picture.height}"
         raise DataError(f"{path} is {size} px; expected at least {least_side} px along the short side")
+    profile = picture.info.get("icc_profile")
     picture = _eight_bits(picture, path)
     if picture.has_transparency_data:
         picture = picture.convert("RGBA")
         picture = Image.alpha_composite(Image.new("RGBA", picture.size, "white"), picture)
-    picture = _smaller(picture.convert("RGB"), least_side)
+    picture = _smaller(to_srgb(picture, str(path), profile), least_side)
     if max(picture.size) > LIMIT:
         raise DataError(f"{path} would be written {picture.width}x{picture.height} px; expected at most {LIMIT} px")
     return picture

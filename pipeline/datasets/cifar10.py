@@ -18,6 +18,8 @@ from pipeline.errors import DataError
 TRAIN_FILES = tuple(f"data_batch_{number}" for number in range(1, 6))
 TEST_FILE = "test_batch"
 NAMES_FILE = "batches.meta"
+BATCHES = f"cifar-10-batches-py/{TEST_FILE}"
+"""What tells the archive where it has another name."""
 CATEGORIES = ("airplane", "automobile", "bird", "cat", "deer", "dog", "frog", "horse", "ship", "truck")
 
 

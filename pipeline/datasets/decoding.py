@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 from jaxtyping import UInt8
-from PIL import Image, ImageOps, UnidentifiedImageError
+from PIL import Image, ImageCms, ImageOps, UnidentifiedImageError
 from pillow_heif import register_heif_opener
 
 from pipeline.errors import DataError
@@ -22,12 +22,15 @@ Fit = Literal["crop", "pad"]
 size and continues the border pixels along the short one.
 """
 
+_PROFILED = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK"}
+"""Modes of pictures whose colours a profile describes."""
+
 Box = tuple[int, int, int, int]
 """Left, top, right and bottom in pixels; right and bottom are the first ones outside."""
 
 
 def decode(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, "size size 3"]:
-    """Decode an RGB picture (JPEG, PNG, HEIC, ...), turned upright as its EXIF data says.
+    """Decode an RGB picture (JPEG, PNG, HEIC, ...), turned upright as its EXIF data says, in the colours of sRGB.
 
     Pictures are made smaller, never larger. Raises DataError, naming the picture, if it cannot be read to its end, is
     not RGB, or is too small.
@@ -37,13 +40,13 @@ def decode(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, 
     if side < size:
         which, found = "short" if fit == "crop" else "long", f"{picture.width}x{picture.height}"
         raise DataError(f"{name} is {found} px; expected at least {size} px along the {which} side")
-    return _fitted(picture, size, fit)
+    return _fitted(picture, name, size, fit)
 
 
 def decode_up_to(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, "side side 3"]:
     """Decode as `decode` does, but let pictures that are too small for the wanted size keep theirs."""
     picture = _upright(content, name)
-    return _fitted(picture, min(size, _fitted_side(picture, fit)), fit)
+    return _fitted(picture, name, min(size, _fitted_side(picture, fit)), fit)
 
 
 def cut_boxes(content: bytes, name: str, boxes: Sequence[Box], size: int) -> list[UInt8[np.ndarray, "size size 3"]]:
@@ -53,7 +56,9 @@ def cut_boxes(content: bytes, name: str, boxes: Sequence[Box], size: int) -> lis
     if it cannot be read to its end or a box has no pixel of it.
     """
     with reading(name):
-        picture = Image.open(io.BytesIO(content)).convert("RGB")
+        picture = Image.open(io.BytesIO(content))
+        picture.load()
+    picture = to_srgb(picture, name, picture.info.get("icc_profile"))
     return [_cut(picture, name, box, size) for box in boxes]
 
 
@@ -80,8 +85,9 @@ def _fitted_side(picture: Image.Image, fit: Fit) -> int:
     return min(picture.size) if fit == "crop" else max(picture.size)
 
 
-def _fitted(picture: Image.Image, size: int, fit: Fit) -> UInt8[np.ndarray, "size size 3"]:
-    return _square(np.asarray(_scaled(picture, size / _fitted_side(picture, fit))), size)
+def _fitted(picture: Image.Image, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, "size size 3"]:
+    smaller = _scaled(picture, size / _fitted_side(picture, fit))
+    return _square(np.asarray(to_srgb(smaller, name, picture.info.get("icc_profile"))), size)
 
 
 @contextmanager
@@ -102,6 +108,26 @@ def reading(name: str) -> Iterator[None]:
         TypeError,
     ) as error:
         raise DataError(f"{name} cannot be read as a picture ({error}); replace or remove it") from None
+
+
+def to_srgb(picture: Image.Image, name: str, profile: bytes | None) -> Image.Image:
+    """Bring a picture to RGB, and its colours from those of its ICC profile to those of sRGB.
+
+    Telephones photograph in wider colours than sRGB, which look dull when taken for those of sRGB, as all colours
+    without a profile are. Raises DataError, naming the picture, for a profile that cannot be applied.
+    """
+    if profile is None:
+        return picture.convert("RGB")
+    try:
+        of_picture = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+        mode = _PROFILED[of_picture.profile.xcolor_space]  # pyright: ignore[reportAttributeAccessIssue]
+        seen = ImageCms.profileToProfile(
+            picture.convert(mode), of_picture, ImageCms.createProfile("sRGB"), outputMode="RGB"
+        )
+    except (ImageCms.PyCMSError, KeyError, OSError, ValueError) as error:
+        raise DataError(f"{name} has a colour profile that cannot be used ({error}); convert or remove it") from None
+    assert seen is not None  # a new picture, as profileToProfile was not told to change the one given
+    return seen
 
 
 def _scaled(picture: Image.Image, factor: float) -> Image.Image:

@@ -9,7 +9,7 @@ from pipeline.datasets import cifar10, pascal3d, posed_folder
 from pipeline.datasets.archives import read_tree
 from pipeline.datasets.folder import category_of, without_pictures
 
-OFFICIAL_CIFAR10 = "cifar-10-"
+OFFICIAL_CIFAR10 = "cifar-10-python.tar.gz"
 
 
 class Contents(NamedTuple):
@@ -31,14 +31,15 @@ def survey(path: Path) -> Contents:
 
     Raises DataError for a source that is damaged and, unless it is CIFAR-10 or PASCAL3D+, for one without categories.
     """
-    if path.is_file() and path.name.startswith(OFFICIAL_CIFAR10):
+    if path.is_file() and path.name == OFFICIAL_CIFAR10:
         return Contents(path, "cifar10", frozenset(cifar10.CATEGORIES))
-    names = {"annotations": False, "table": False}
+    names = {"annotations": False, "batches": False, "table": False}
     categories: set[str] = set()
     with tqdm(desc=f"looking through {path.name}", unit="", delay=1, disable=None) as progress:
 
         def note(name: PurePosixPath) -> bool:
             names["annotations"] |= name.match(pascal3d.ANNOTATIONS)
+            names["batches"] |= name.match(cifar10.BATCHES)
             names["table"] |= posed_folder.is_table(name)
             categories.update(filter(None, [category_of(name)]))
             progress.update()
@@ -48,6 +49,8 @@ def survey(path: Path) -> Contents:
             pass
     if names["annotations"]:
         return Contents(path, "pascal3d", frozenset())
+    if names["batches"] and path.is_file():
+        return Contents(path, "cifar10", frozenset(cifar10.CATEGORIES))
     if not categories:
         raise without_pictures(path)
     return Contents(path, "posed_folder" if names["table"] else "folder", frozenset(categories))

@@ -76,7 +76,9 @@ def _import_pycolmap() -> Any:
     try:
         import pycolmap
     except ImportError:
-        raise UserError("pycolmap is not installed; install it with `pip install kato3d[baselines]`") from None
+        raise UserError(
+            "pycolmap is not installed; install it with `.venv/bin/pip install -c constraints.txt -e '.[baselines]'`"
+        ) from None
     return pycolmap
 
 

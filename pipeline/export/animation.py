@@ -39,7 +39,8 @@ def encoder() -> Callable[..., Any]:
         from imageio_ffmpeg import write_frames
     except ImportError:
         raise ConfigError(
-            "films need the encoder of imageio-ffmpeg; install it with `pip install 'kato3d[video]'`"
+            "films need the encoder of imageio-ffmpeg; install it with `.venv/bin/pip install -c constraints.txt -e "
+            "'.[video]'`"
         ) from None
     return write_frames
 

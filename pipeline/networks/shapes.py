@@ -10,7 +10,7 @@ from pipeline.errors import ConfigError, MeshError
 from pipeline.geometry.compliance import compliance_matrix
 from pipeline.geometry.ffd import CONTROL_POINTS, control_point_weights, deform
 from pipeline.geometry.normalize import fit_unit_cube
-from pipeline.geometry.symmetry import mirror_index, symmetrize
+from pipeline.geometry.symmetry import is_symmetric, mirror_index, symmetrize
 from pipeline.geometry.topology import laplacian_matrix
 from pipeline.ranges import NonNegative
 from pipeline.rendering.renderer import Mesh
@@ -71,12 +71,15 @@ class BaseOffsets(nn.Module):
 def _mirror_of(base: Mesh) -> Int[Tensor, " V"]:
     # Of directions, which differ even where surfaces touch.
     try:
-        return mirror_index(base.directions)
+        mirror = mirror_index(base.directions)
     except MeshError:
+        mirror = None
+    if mirror is None or not is_symmetric(base.vertices[0], mirror):
         raise ConfigError(
             "the base shape is not mirror-symmetric, but train_full.model.shape.base_learning.mirror is true; set it "
             "to false, or learn the base shape with symmetry"
-        ) from None
+        )
+    return mirror
 
 
 class FreeFormShapes(nn.Module):
@@ -135,7 +138,7 @@ class FreeFormShapes(nn.Module):
         dimensions = (self.dimension_reach * parameters[:, -3:]).exp()
         return fit_unit_cube(deform(base, self.weights, offsets) * dimensions[:, None])
 
-    def draw(self, count: int, spread: float, rng: torch.Generator) -> Float[Tensor, "B K"]:
+    def draw(self, count: int, spread: float | Float[Tensor, "B 1"], rng: torch.Generator) -> Float[Tensor, "B K"]:
         """Draw parameters from a normal distribution around the base shape.
 
         Offsets of control points d steps of the grid apart are correlated by exp(-d^2/2): independent ones cancel each
@@ -178,10 +181,13 @@ class OffsetShapes(nn.Module):
         """Return the same vertices: an ellipsoid does not learn."""
         return self(parameters)
 
-    def draw(self, count: int, spread: float, rng: torch.Generator) -> Float[Tensor, "B K"]:
-        """Draw parameters that stretch the ellipsoid along the three axes by normal parts of its dimensions."""
-        stretch = spread * torch.randn(count, 1, 3, generator=rng, device=rng.device)
-        return (stretch * self.base_vertices / self.reach).flatten(1)
+    def draw(self, count: int, spread: float | Float[Tensor, "B 1"], rng: torch.Generator) -> Float[Tensor, "B K"]:
+        """Draw parameters that stretch the ellipsoid along the three axes by factors whose logarithms are normal.
+
+        A factor below zero would turn it inside out.
+        """
+        factors = (spread * torch.randn(count, 3, generator=rng, device=rng.device)).exp()
+        return ((factors[:, None] - 1) * self.base_vertices / self.reach).flatten(1)
 
 
 class ShapeDecoder(nn.Module):

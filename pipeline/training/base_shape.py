@@ -46,7 +46,7 @@ class BaseShapeConfig:
     """Settings of base-shape learning.
 
     Attributes:
-        cool_down: the last iterations, over which the learning rate falls to zero; the paper has none.
+        cool_down: the last part of the iterations, over which the learning rate falls to zero; the paper has none.
         seeds: how many base shapes are learned; a label-free score picks one.
         reconstruction_balance: lambda_rec, the share of the Chamfer distance against feature matching.
         colors: size of the texture palette, N_c.
@@ -65,7 +65,7 @@ class BaseShapeConfig:
     seeds: Count
     learning_rate: Positive
     betas: tuple[Momentum, Momentum]
-    cool_down: Natural
+    cool_down: Fraction
     reconstruction_balance: Fraction
     colors: Count
     initial_dimensions: tuple[Positive, Positive, Positive]

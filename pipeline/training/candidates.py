@@ -194,7 +194,7 @@ def _near_shapes(
 ) -> Float[Tensor, "count B K"]:
     rows = (config.perturbed, whole(len(recorded)))
     size = _sizes(rows, config.step, rng)
-    return recorded + share(size * model.shapes.draw(math.prod(rows), 1.0, rng).unflatten(0, rows), dim=1)
+    return recorded + share(model.shapes.draw(math.prod(rows), size.flatten(0, 1), rng).unflatten(0, rows), dim=1)
 
 
 def _sizes(rows: tuple[int, int], step: tuple[float, float], rng: torch.Generator) -> Float[Tensor, "count B 1"]:

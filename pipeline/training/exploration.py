@@ -90,8 +90,8 @@ def comparable(features: Features, map_weights: tuple[float, ...]) -> list[Float
 
 def require_maps(map_weights: tuple[float, ...], extractor: FeatureExtractor, key: str) -> None:
     """Raise ConfigError, naming the parameter, where no map is weighted or more than the extractor has."""
-    if not 0 < len(map_weights) <= extractor.maps:
+    if not any(map_weights) or len(map_weights) > extractor.maps:
         raise ConfigError(
-            f"{key} has {len(map_weights)} weights, but the features are {extractor.maps} maps, the pictures "
-            "themselves included; give one weight a map, from the first on"
+            f"{key} is {list(map_weights)}, but the features are {extractor.maps} maps, the pictures themselves "
+            "included; give one weight a map, from the first on, and not all of them 0"
         )

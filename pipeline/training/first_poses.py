@@ -28,6 +28,8 @@ from pipeline.training.azimuths import ConsensusConfig, agree_on_azimuths, bins,
 from pipeline.training.viewpoints import LightConfig, sample_lights
 
 _CHUNK = 250
+SMALLEST = torch.finfo(torch.float32).tiny
+"""Keeps votes finite where all photographs are one, or where nothing votes for an azimuth."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,9 @@ def first_poses(
 
     joined = torch.cat([part.to(cuts.device) for part in divide(distances, len(parts))], dim=1)
     votes = [count_votes(one, config.temperature) for one in joined.chunk(len(rendered), dim=1)]
-    by_azimuth = join_votes(torch.stack([((vote @ kernel) / kernel.sum(dim=0)).log() for vote in votes]))
+    by_azimuth = join_votes(
+        torch.stack([((vote @ kernel) / kernel.sum(dim=0)).clamp_min(SMALLEST).log() for vote in votes])
+    )
     winner = agree_on_azimuths(by_azimuth, cuts, extractor, config.consensus, rng).argmax(dim=1)
     near = votes[0] * kernel.T[winner]
     elevation_and_roll = (near @ poses[:, 2:4]) / near.sum(dim=1, keepdim=True)
@@ -123,7 +127,8 @@ def cut_to_box(
 def count_votes(distances: Float[Tensor, "N K"], temperature: float) -> Float[Tensor, "N K"]:
     """Return how much each rendering counts for each photograph; a photograph's votes add up to 1."""
     distances = distances - distances.mean(dim=0)
-    distances = (distances - distances.mean(dim=1, keepdim=True)) / distances.std(dim=1, keepdim=True)
+    deviations = distances - distances.mean(dim=1, keepdim=True)
+    distances = deviations / distances.std(dim=1, keepdim=True).clamp_min(SMALLEST)
     return (-distances / temperature).softmax(dim=1)
 
 

@@ -154,7 +154,7 @@ class FullLoss:
         estimated, random = self.discriminator(reverse_gradient(torch.cat([images, others])), views).chunk(2)
         student = model.pose_decoder(model.pose_encoder(others.detach()))
         with torch.no_grad():
-            features = self.extractor(others)
+            features = self.extractor(others) if model.config.shapes_from == "features" else []
         shape = model.read_shapes(others.detach(), features)
         return {
             "view_prior": view_prior_loss(estimated, random),

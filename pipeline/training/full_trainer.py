@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from pipeline.distributed import agree, average_losses, gather, share, shared_batch
+from pipeline.errors import ConfigError
 from pipeline.geometry.camera import Pose
 from pipeline.losses.image_distance import Features
 from pipeline.networks.discriminator import ViewDiscriminator
@@ -60,8 +61,8 @@ class FullTrainingConfig:
     batch_size: Count
     learning_rate: Positive
     betas: tuple[Momentum, Momentum]
-    cool_down: Natural
-    """The last iterations, over which the learning rate falls to zero; the paper has none."""
+    cool_down: Fraction
+    """The last part of the iterations, over which the learning rate falls to zero; the paper has none."""
     photographs_per_iteration: Positive
     """Iteration i draws from the first i times this many photographs; the paper's curriculum has 1."""
     model: FullModelConfig
@@ -85,6 +86,25 @@ class FullTrainingConfig:
     """Iterations that one row of the curve averages."""
     checkpoint_every: Count
     """Iterations between restart states."""
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError for parts that are for mirror-symmetric objects alone, and for poses that cannot move."""
+        if not self.model.shape.mirror:
+            for name, value in (
+                ("first_poses", self.first_poses if self.model.two_stage else None),
+                ("ends", self.ends),
+                ("loss.mirrored_regression", self.loss.mirrored_regression),
+            ):
+                if value:
+                    raise ConfigError(
+                        f"train_full.{name} is for mirror-symmetric objects, but train_full.model.shape.mirror is "
+                        "false; expected null or 0, as in the ablation no-symmetry"
+                    )
+        if self.settle == 1 and not (self.model.two_stage and self.first_poses):
+            raise ConfigError(
+                "train_full.settle is 1, by which poses stay near their first ones, but there are no first_poses; "
+                "expected 0, or less than 1"
+            )
 
 
 class FullTrainer:

@@ -37,5 +37,5 @@ def set_learning_rate(rate: float, *optimizers: torch.optim.Optimizer) -> None:
 
 
 def falling(rate: float, iteration: int, iterations: int, cool_down: float) -> float:
-    """Return the learning rate of an iteration, counted from 0, that falls to zero over the last `cool_down` of all."""
-    return rate * min(1.0, (iterations - iteration) / max(1, cool_down))
+    """Return the learning rate of an iteration, counted from 0: over the last part, `cool_down`, it falls to zero."""
+    return rate * min(1.0, (iterations - iteration) / max(1.0, cool_down * iterations))

@@ -36,6 +36,11 @@ def test_votes_follow_the_nearest_and_forgive_hubs() -> None:
     assert torch.cosine_similarity(directions, expected).min() > math.cos(0.3)
 
 
+def test_photographs_that_are_all_alike_vote_for_nothing() -> None:
+    votes = count_votes(torch.tensor([[3.0, 5.0, 4.0]]).expand(6, 3), 0.3)
+    torch.testing.assert_close(votes, torch.full((6, 3), 1 / 3))
+
+
 def test_objects_are_cut_to_the_middle_at_one_size() -> None:
     model = tiny_model()
     _, coordinates = photographs(8)

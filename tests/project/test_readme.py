@@ -1,6 +1,7 @@
 """The README says what is there: its rows, commands, links and figures."""
 
 import io
+import os
 import re
 import subprocess
 import tarfile
@@ -42,6 +43,13 @@ def test_every_command_exists() -> None:
     for kind, key in (("ROW", "rows"), ("SIZE", "sizes"), ("ABLATION", "ablations")):
         for name in re.findall(rf"{kind}=([\w-]+)", README):
             assert name in PARAMS[key], name
+
+
+def test_options_are_words_after_make_alone() -> None:
+    environment = os.environ | {"SEED": "7", "CATEGORY": "plane", "BASELINE": "colmap"}
+    words = ["make", "--dry-run", "run", "ROW=toybox-car", "SEED=", "SIZE=paper"]
+    made = subprocess.run(words, cwd=ROOT, env=environment, check=True, stdout=subprocess.PIPE, text=True).stdout
+    assert made.splitlines()[-1] == 'python -m stages.run_row --row "toybox-car" --size "paper"'
 
 
 def test_every_example_of_a_parameter_exists() -> None:

@@ -12,7 +12,7 @@ from pipeline.cli.__main__ import main
 from pipeline.cli.arrange import LONGEST, arrange
 from pipeline.datasets.folder import FolderConfig, read_folder
 from pipeline.errors import DataError
-from tests.picture_trees import noise, picture, write_folder
+from tests.picture_trees import noise, picture, swapped, write_folder
 
 
 def test_every_tenth_photograph_is_for_testing(tmp_path: Path) -> None:
@@ -94,6 +94,14 @@ def fractions() -> bytes:
     return stream.getvalue()
 
 
+def test_colours_become_those_of_srgb(tmp_path: Path) -> None:
+    files = {f"{name}.png": swapped(mode) for name, mode in (("a", "RGB"), ("b", "RGBA"), ("c", "P"))}
+    arrange(write_folder(tmp_path / "photos", files), "ship", tmp_path / "mine", 32)
+    for path in (tmp_path / "mine").rglob("*.jpg"):
+        with Image.open(path) as written:
+            assert np.abs(np.asarray(written).astype(int) - (40, 200, 90)).max() < 5
+
+
 def test_what_cannot_be_used_is_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = {f"{number}.jpg": noise(number) for number in range(3)}
     files |= {"broken.jpg": noise(9)[:300], "small.png": picture(width=31), "a.CR2": b"", "b.cr2": b""}
@@ -122,6 +130,12 @@ def test_a_name_that_is_no_text_is_printed(tmp_path: Path, capsys: pytest.Captur
     ("files", "category", "out", "message"),
     [
         ({"a.jpg": noise(0)}, "ship", "mine", "has 1 photographs that can be used; expected at least 2"),
+        (
+            {"a.jpg": noise(0)[:300], "b.jpg": noise(0)},
+            "ship",
+            "mine",
+            r"has 1 photographs that can be used \(.*a\.jpg cannot be read as a picture",
+        ),
         ({"a.txt": b""}, "ship", "mine", "holds no photographs"),
         ({"a.jpg": noise(0)}, "my ship", "mine", "the category is 'my ship'; expected a name of letters"),
         ({"a.jpg": noise(0)}, "café", "mine", "the category is 'café'; expected a name of letters"),

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline.datasets.decoding import decode, decode_up_to
+from pipeline.datasets.decoding import cut_boxes, decode, decode_up_to
 from pipeline.errors import DataError
-from tests.picture_trees import noise, picture
+from tests.picture_trees import noise, picture, swapped
 
 
 def halves(width: int, height: int) -> bytes:
@@ -61,6 +61,19 @@ def test_a_photograph_is_turned_upright() -> None:
     pixels = decode(stream.getvalue(), "1.png", 32, "crop")
     assert tuple(pixels[0, 16]) == (255, 0, 0)
     assert tuple(pixels[-1, 16]) == (0, 0, 255)
+
+
+def test_colours_become_those_of_srgb() -> None:
+    pixels = decode(swapped("RGB"), "1.png", 32, "crop")
+    assert np.abs(pixels.astype(int) - (40, 200, 90)).max() < 3
+    assert (cut_boxes(swapped("RGB"), "1.png", [(0, 0, 32, 32)], 32)[0] == pixels).all()
+
+
+def test_a_damaged_colour_profile_is_refused() -> None:
+    stream = io.BytesIO()
+    Image.new("RGB", (32, 32)).save(stream, "PNG", icc_profile=b"no profile")
+    with pytest.raises(DataError, match=r"^1\.png has a colour profile that cannot be used \(.*\); convert or remove"):
+        decode(stream.getvalue(), "1.png", 32, "crop")
 
 
 @pytest.mark.parametrize("mode", ["L", "RGBA", "P", "1"])

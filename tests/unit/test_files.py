@@ -38,6 +38,18 @@ def test_tensors_that_cannot_be_written_leave_nothing_behind(tmp_path: Path, mon
     assert not list(tmp_path.iterdir())
 
 
+def test_memory_that_does_not_suffice_is_one_sentence() -> None:
+    with (
+        pytest.raises(SystemExit, match=r"^error: there is not enough memory \(.*\); lower `memory`"),
+        in_one_sentence(),
+    ):
+        torch.empty(1 << 50, dtype=torch.uint8)
+    with pytest.raises(SystemExit, match=r"\(CUDA out of memory\. Tried to allocate 1 GiB\); lower"), in_one_sentence():
+        raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 1 GiB\nSee documentation")
+    with pytest.raises(RuntimeError, match="shapes"), in_one_sentence():
+        torch.mm(torch.ones(2, 2), torch.ones(3, 3))
+
+
 def test_what_a_kill_left_behind_is_removed(tmp_path: Path) -> None:
     path = tmp_path / "folder"
     with atomic_path(path) as temporary:

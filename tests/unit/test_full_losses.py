@@ -1,11 +1,13 @@
 """The terms of full training's loss: how they are weighed, and which networks learn from them."""
 
 from dataclasses import fields, replace
+from typing import Literal
 
 import pytest
 import torch
 from torch import Tensor, nn
 
+from pipeline.errors import ConfigError
 from pipeline.losses.smoothness import SmoothnessConfig
 from pipeline.seeding import generator
 from pipeline.training.candidates import Record
@@ -111,6 +113,23 @@ def test_shapes_are_compared_by_their_vertices() -> None:
     torch.testing.assert_close(error, (shapes(estimate.shape) - shapes(best.record.shape)).abs().mean())
 
 
+@pytest.mark.parametrize(("source", "calls"), [("features", 2), ("photographs", 1)])
+def test_features_of_other_views_are_taken_where_shapes_are_read_off_them(
+    source: Literal["features", "photographs"], calls: int
+) -> None:
+    images, _ = photographs(4)
+    extractor = tiny_extractor()
+    config = replace(TRAINING, model=replace(TRAINING.model, shapes_from=source))
+    trainer = FullTrainer(config, Photographs(images, extractor, 4, 2**30), extractor, base_mesh(), 0)
+    called: list[int] = []
+    extractor.register_forward_hook(lambda *_: called.append(1))
+    images, features = trainer.photographs.batch(torch.arange(4))
+    called.clear()
+    best = Best(Record(photographs(4)[1], trainer.model.shapes.draw(4, 0.5, generator(3))), torch.zeros(4).long())
+    trainer.loss.terms(features, trainer.estimate(images, features), best, generator(1))
+    assert len(called) == calls
+
+
 def test_the_discriminator_descends_and_textures_ascend() -> None:
     for part, gains in (("discriminator", True), ("texture", False)):
         trainer = trainer_of()
@@ -122,6 +141,22 @@ def test_the_discriminator_descends_and_textures_ascend() -> None:
                 assert parameter.grad is not None
                 parameter -= 0.05 * parameter.grad / (parameter.grad.norm() + 1e-12)
         assert (terms_of(trainer)["view_prior"] < before) == gains
+
+
+@pytest.mark.parametrize("changes", [{}, {"first_poses": None}])
+def test_what_is_for_mirror_symmetric_objects_is_refused_for_others(changes: dict[str, object]) -> None:
+    shape = replace(TRAINING.model.shape, mirror=False, base_learning=None)
+    model = replace(TRAINING.model, shape=shape)
+    with pytest.raises(ConfigError, match=r"is for mirror-symmetric objects, but train_full\.model\.shape\.mirror is"):
+        replace(TRAINING, model=model, **changes)
+    loss = replace(TRAINING.loss, mirrored_regression=0.0)
+    replace(TRAINING, model=model, first_poses=None, loss=loss)
+
+
+def test_poses_without_first_ones_have_to_move() -> None:
+    with pytest.raises(ConfigError, match=r"train_full\.settle is 1, by which poses stay near their first ones"):
+        replace(TRAINING, settle=1.0, first_poses=None)
+    replace(TRAINING, settle=1.0)
 
 
 def learns(network: nn.Module) -> bool:

@@ -7,7 +7,7 @@ from pipeline.training.optimization import falling, set_learning_rate
 
 
 def test_a_rate_falls_to_zero_over_the_cool_down() -> None:
-    rates = [falling(0.4, iteration, 10, 4) for iteration in range(10)]
+    rates = [falling(0.4, iteration, 10, 0.4) for iteration in range(10)]
     assert rates == pytest.approx([0.4] * 7 + [0.3, 0.2, 0.1])
     assert {falling(0.4, iteration, 10, 0) for iteration in range(10)} == {0.4}
 

@@ -181,10 +181,12 @@ def test_the_distance_grows_with_the_shift_of_an_object(tmp_path: Path) -> None:
 def test_more_weights_than_maps_are_one_sentence() -> None:
     extractor = FeatureExtractor(PretrainedNetwork("alexnet"), 20.0)
     require_maps((1.0,) * 6, extractor, "fine_tune.map_weights")
-    with pytest.raises(ConfigError, match=r"fine_tune\.map_weights has 7 weights, but the features are 6 maps"):
+    with pytest.raises(ConfigError, match=r"fine_tune\.map_weights is \[1.*\], but the features are 6 maps"):
         require_maps((1.0,) * 7, extractor, "fine_tune.map_weights")
-    with pytest.raises(ConfigError, match=r"fine_tune\.map_weights has 0 weights"):
+    with pytest.raises(ConfigError, match=r"fine_tune\.map_weights is \[\]"):
         require_maps((), extractor, "fine_tune.map_weights")
+    with pytest.raises(ConfigError, match="not all of them 0"):
+        require_maps((0.0, 0.0), extractor, "fine_tune.map_weights")
 
 
 def test_the_stage_takes_a_network_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

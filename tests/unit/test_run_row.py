@@ -16,7 +16,7 @@ from tests.picture_trees import tree, write_folder, write_tar
 
 ROOT = Path(__file__).parents[2]
 USUAL = {"size": "laptop", "ablation": "none", "seed": 0, "source": None, "features": None}
-USUAL |= {"dataset": None, "category": None}
+USUAL |= {"dataset": None, "category": None, "baseline": None}
 
 
 @pytest.fixture
@@ -293,6 +293,10 @@ def test_what_is_no_parameter_file_is_said(params: Path) -> None:
         (_options("cifar10-hors"), "did you mean 'cifar10-horse'"),
         (_options("toybox-car", size="labtop"), "did you mean 'laptop'"),
         (_options("toybox-car", ablation="no-symetry"), "did you mean 'no-symmetry'"),
+        (
+            _options("toybox-car", size="paper-imagenet", features=ROOT / "params.yaml", baseline="hologan"),
+            "HoloGAN draws 32 px, but pictures of size 'paper-imagenet' have 128 px; choose another SIZE=",
+        ),
         (_options("pascal-chair"), "no photographs of 'pascal3d' yet"),
         (_options("cifar10-horse", source=Path("nowhere.tar")), "SOURCE=nowhere.tar does not exist"),
         (_options("toybox-car", seed=1, size="paper", features=Path("no.npz")), "FEATURES=no.npz does not exist"),

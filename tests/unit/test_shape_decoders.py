@@ -48,8 +48,9 @@ def test_an_asymmetric_base_shape_learns_without_mirroring_alone() -> None:
     mesh = base_mesh()
     slanted = mesh.directions + 0.1 * mesh.directions[:, [1, 0, 2]]
     asymmetric = mesh._replace(directions=slanted)
-    with pytest.raises(ConfigError, match=r"base_learning\.mirror"):
-        FreeFormShapes(asymmetric, 0.1, 0.5, mirror=True, base_learning=BaseLearningConfig(4.0, 2.0, mirror=True))
+    for other in (asymmetric, mesh._replace(vertices=mesh.vertices + 0.1 * mesh.vertices[..., [1, 0, 2]])):
+        with pytest.raises(ConfigError, match=r"base_learning\.mirror"):
+            FreeFormShapes(other, 0.1, 0.5, mirror=True, base_learning=BaseLearningConfig(4.0, 2.0, mirror=True))
     shapes = FreeFormShapes(asymmetric, 0.1, 0.5, mirror=True, base_learning=BaseLearningConfig(4.0, 2.0, mirror=False))
     assert shapes.base_offsets is not None
     with torch.no_grad():
@@ -149,6 +150,15 @@ def test_random_ellipsoids_are_smooth() -> None:
     middle = (vertices.amax(0) + vertices.amin(0)) / 2 - stretch * (BASE.amax(0) + BASE.amin(0)) / 2
     torch.testing.assert_close(vertices, BASE * stretch + middle, atol=1e-5, rtol=0)
     assert (stretch / stretch[2] - 1).abs().amax() > 0.02
+
+
+def test_random_ellipsoids_are_never_inside_out() -> None:
+    shapes, (faces,) = OffsetShapes(BASE, 0.1, mirror=True), (base_mesh().faces,)
+    spreads = torch.full((500, 1), 0.5).index_fill(0, torch.arange(250), 0.01)
+    corners = shapes(shapes.draw(500, spreads, generator(0)))[:, faces].unbind(dim=2)
+    volumes = (corners[0] * torch.linalg.cross(corners[1], corners[2])).sum(dim=(1, 2)) / 6
+    assert volumes.min() > 0
+    assert volumes[250:].std() > 10 * volumes[:250].std()
 
 
 def test_random_grids_move_neighbours_alike() -> None:

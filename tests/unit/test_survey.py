@@ -48,6 +48,13 @@ def test_the_official_cifar10_is_not_opened(tmp_path: Path) -> None:
     assert {"automobile", "horse"} < survey(path).categories
 
 
+def test_the_official_cifar10_may_have_another_name(tmp_path: Path) -> None:
+    path = write_tar(tmp_path / "cifar10 (1).tar.gz", {"cifar-10-batches-py/test_batch": b"x"})
+    assert survey(path).kind == "cifar10"
+    own = write_tar(tmp_path / "cifar-10-jpeg.tar.gz", tree())
+    assert survey(own) == (own, "folder", {"car", "horse"})
+
+
 @pytest.mark.parametrize("form", WRITERS)
 def test_a_source_without_categories_is_refused(tmp_path: Path, form: str) -> None:
     path = write(tmp_path, form, {"cars/1.jpg": b""})
