@@ -2,7 +2,7 @@
 
 import difflib
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from pathlib import Path
 from types import NoneType, UnionType
@@ -197,6 +197,12 @@ def nearest(name: str, candidates: Iterable[str], prefix: str = "") -> str:
     if near:
         return f"; did you mean '{prefix}{near[0]}'?"
     return f"; expected one of: {', '.join(names)}" if names else ""
+
+
+def require_known(name: str, known: Collection[str], lack: str) -> None:
+    """Raise ConfigError where a name is none of those known; `lack` begins its sentence."""
+    if name not in known:
+        raise ConfigError(f"{lack} '{name}'{nearest(name, known)}")
 
 
 def _describe(hint: Any) -> str:

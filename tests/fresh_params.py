@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from stages.run_row import round_trip_yaml
+from pipeline.rows.params_file import round_trip_yaml
 
 ROOT = Path(__file__).parents[1]
 RUN = {

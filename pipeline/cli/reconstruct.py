@@ -66,6 +66,15 @@ class Steps(NamedTuple):
     """Paint the mesh with the photograph."""
 
 
+class Settings(NamedTuple):
+    """Parameters of a run that say what comes out."""
+
+    fine_tune: FineTuneConfig
+    paint: PaintingConfig
+    fit: Fit
+    report: ReportConfig
+
+
 class Outcome(NamedTuple):
     """What became of the photographs."""
 
@@ -88,16 +97,9 @@ def reconstruct(
     """
     if "video" in outputs:
         encoder()  # not missed only after the first photograph
-    model = load_full_model(run.model, device)
-    config = load(run.params, FineTuneConfig, ["fine_tune", f"sizes.{run.size}.fine_tune"])
-    config = replace(config, photographs=None)
-    painting = load(run.params, PaintingConfig, ["paint"])
-    fit = load(run.params, PrepareConfig, ["prepare_data", f"datasets.{run.dataset}"]).fit
-    report = load(run.params, ReportConfig, ["report"])
-    tuning = replace(config, batch_size=1)  # which does not change what comes out
-    chosen = [*([tuning] if steps.fine_tune else []), *([painting] if steps.paint else [])]
-    settings = repr([fit, report.frames, report.view, sha256(run.features), *chosen])
-    way = {"model": sha256(run.model), **steps._asdict(), "settings": hashlib.sha256(settings.encode()).hexdigest()}
+    model, settings = load_full_model(run.model, device), _load_settings(run)
+    config, painting, fit, report = settings
+    way = _way(run, settings, steps)
     _require_same_way(out, way)
     out.mkdir(parents=True, exist_ok=True)
     waiting, failures = _waiting(tasks, outputs)
@@ -124,6 +126,24 @@ def reconstruct(
     if done:
         write_gallery(out / PAGE, done, model.config.renderer.camera)
     return Outcome(written, skipped, failures, out / PAGE if done else None)
+
+
+def _load_settings(run: Run) -> Settings:
+    return Settings(
+        replace(load(run.params, FineTuneConfig, ["fine_tune", f"sizes.{run.size}.fine_tune"]), photographs=None),
+        load(run.params, PaintingConfig, ["paint"]),
+        load(run.params, PrepareConfig, ["prepare_data", f"datasets.{run.dataset}"]).fit,
+        load(run.params, ReportConfig, ["report"]),
+    )
+
+
+def _way(run: Run, settings: Settings, steps: Steps) -> dict[str, str | bool]:
+    """Say how reconstructions are made, so that a folder holds those of one way alone."""
+    report = settings.report
+    tuning = replace(settings.fine_tune, batch_size=1)  # which does not change what comes out
+    chosen = [*([tuning] if steps.fine_tune else []), *([settings.paint] if steps.paint else [])]
+    text = repr([settings.fit, report.frames, report.view, sha256(run.features), *chosen])
+    return {"model": sha256(run.model), **steps._asdict(), "settings": hashlib.sha256(text.encode()).hexdigest()}
 
 
 def _waiting(tasks: Sequence[Task], outputs: Sequence[str]) -> tuple[list[Task], list[str]]:

@@ -66,6 +66,10 @@ class PoseDecoder(nn.Module):
         """Return what the student says."""
         return _parts(self.student(code))
 
+    def known_error(self, code: Float[Tensor, "B K"], coordinates: Float[Tensor, "B 7"]) -> Float[Tensor, ""]:
+        """Return the errors of all heads and of the student, added up, where poses are known."""
+        return regression_error(self.ensemble(code), coordinates[:, None]) + regression_error(self(code), coordinates)
+
 
 def regression_error(regression: PoseRegression, coordinates: Float[Tensor, "*B 7"]) -> Float[Tensor, ""]:
     """Compare what heads say with pose coordinates: return the mean error of one, the azimuth's two as axis and as end.

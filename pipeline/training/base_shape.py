@@ -268,7 +268,10 @@ def learn_base_shape(
         rows = [{"seed": index, **row} for row in curve.rows]
         return Learned(trainer.shape().cpu(), trainer.score(), trainer.scene.cpu(), rows)
 
-    learned = [one for one in divide(learn, config.seeds * parts) if one is not None]
+    return _gather(sphere, [one for one in divide(learn, config.seeds * parts) if one is not None])
+
+
+def _gather(sphere: Sphere, learned: list[Learned]) -> BaseShapes:
     scores = [one.score for one in learned]
     best = best_seed(scores)
     curve = Curve([row for one in learned for row in one.rows])

@@ -15,7 +15,6 @@ from tqdm import tqdm
 from pipeline.datasets.images import Images
 from pipeline.distributed import average, share, silent
 from pipeline.networks.full_model import FullModel
-from pipeline.networks.pose_decoder import regression_error
 from pipeline.ranges import Count, Momentum, Natural, Positive
 from pipeline.training.checkpoint import read_losses
 from pipeline.training.optimization import adam, falling, set_learning_rate, take_step
@@ -54,9 +53,7 @@ def learn_poses(
         images = pictures.float() / 255
         if model.config.shape.mirror:
             images, wanted = torch.cat([images, images.flip(-1)]), torch.cat([wanted, model.poses.mirror(wanted)])
-        code = model.pose_encoder(images)
-        loss = regression_error(model.pose_decoder.ensemble(code), wanted[:, None])
-        loss = loss + regression_error(model.pose_decoder(code), wanted)
+        loss = model.pose_decoder.known_error(model.pose_encoder(images), wanted)
         take_step(loss, optimizer)
         return {"loss": average(loss.detach())}
 

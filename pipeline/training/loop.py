@@ -56,14 +56,12 @@ def run_training(
     A killed call that is repeated with the same checkpoint ends with the same bytes (CPU). Raises TrainingDiverged
     where a loss or a weight is not finite, before the next restart state is written.
     """
-    curve, recent, unread, first = Curve(), [], [], 0
-    if (restored := checkpoint.load()) is not None:
-        tensors, values = restored
-        unpack(tensors, **trainer.parts())
-        curve, recent, first = Curve(values["rows"]), values["recent"], values["iteration"]
-    elif prepare is not None:
+    state = _restore(trainer, checkpoint)
+    if state is None and prepare is not None:
         prepare()
         checkpoint.save(pack(**trainer.parts()), {"iteration": 0, "rows": [], "recent": []})
+    first, curve, recent = state or (0, Curve(), [])
+    unread: list[Mapping[str, Float[Tensor, ""]]] = []
     total = schedule.iterations
     last = total if until is None else until
     for iteration in tqdm(range(first, last), name, initial=first, total=total, disable=silent()):
@@ -77,10 +75,20 @@ def run_training(
             curve.append(done, **_means(recent), **observe(iteration))
             recent = []
         if is_saved:
-            state = pack(**trainer.parts())
-            require_finite(state, iteration, name)
-            checkpoint.save(state, {"iteration": done, "rows": curve.rows, "recent": recent})
+            tensors = pack(**trainer.parts())
+            require_finite(tensors, iteration, name)
+            checkpoint.save(tensors, {"iteration": done, "rows": curve.rows, "recent": recent})
     return curve
+
+
+def _restore(trainer: Trainer, checkpoint: Checkpoint) -> tuple[int, Curve, list[dict[str, float]]] | None:
+    """Take over a restart state; return its iteration, the curve, and the losses since the curve's last row."""
+    restored = checkpoint.load()
+    if restored is None:
+        return None
+    tensors, values = restored
+    unpack(tensors, **trainer.parts())
+    return values["iteration"], Curve(values["rows"]), values["recent"]
 
 
 def _means(rows: list[dict[str, float]]) -> dict[str, float]:

@@ -15,7 +15,6 @@ from tqdm import tqdm
 
 from pipeline.distributed import average, share, silent
 from pipeline.networks.full_model import FullModel, Reconstruction
-from pipeline.networks.pose_decoder import regression_error
 from pipeline.networks.scene_generator import SceneGenerator
 from pipeline.ranges import Count, Momentum, Natural, NonNegative, Positive
 from pipeline.rendering.lighting import Light
@@ -101,9 +100,7 @@ def warm_up_loss(model: FullModel, sample: Sample) -> Float[Tensor, ""]:
     until then the only answer is the base shape (docs/decisions/shapes-and-hues.md).
     """
     images, pose, shape = sample
-    code = model.pose_encoder(images)
-    heads = regression_error(model.pose_decoder.ensemble(code), pose[:, None])
-    student = regression_error(model.pose_decoder(code), pose)
+    poses = model.pose_decoder.known_error(model.pose_encoder(images), pose)
     vertices = model.shapes.around_fixed_base(shape)
     drawn = model.render(
         Reconstruction(
@@ -113,7 +110,7 @@ def warm_up_loss(model: FullModel, sample: Sample) -> Float[Tensor, ""]:
             model.background_decoder(model.background_encoder(images)),
         )
     )
-    return heads + student + (drawn - images).abs().mean()
+    return poses + (drawn - images).abs().mean()
 
 
 def _draw(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: torch.Generator) -> Draw:

@@ -4,7 +4,6 @@ import json
 import signal
 import subprocess
 import time
-from argparse import Namespace
 from itertools import pairwise
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from PIL import Image
 
 from pipeline.files import read_json
 from pipeline.networks.seed_choice import load_seed
-from stages.run_row import turn_on, turn_on_baseline
+from pipeline.rows.turn_on import Options, turn_on, turn_on_baseline
 from tests.smoke.tiny_project import commands, environment, make_tiny_project, read_params, run, write_params
 
 pytestmark = pytest.mark.slow
@@ -147,9 +146,8 @@ def test_own_photographs_take_one_command(project: Path, tmp_path: Path) -> None
         path = tmp_path / "pictures" / split / category / f"{number}.png"
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.new("RGB", (40, 32), (number, 0, 0)).save(path)
-    options = {"size": "laptop", "ablation": "none", "seed": 0, "dataset": "market", "category": "cart"}
-    options |= {"row": "cifar10-automobile", "source": tmp_path / "pictures", "features": None}
-    assert turn_on(project / "params.yaml", Namespace(**options)) == "market-cart"
+    options = Options("cifar10-automobile", source=tmp_path / "pictures", dataset="market", category="cart")
+    assert turn_on(project / "params.yaml", options) == "market-cart"
     assert _stages_run(run(project, "dvc", "repro", "prepare_data@market")) == ["prepare_data"]
     assert read_json(project / "data/prepared/market/index.json")["categories"] == ["cart", "stall"]
     assert "report@market-cart" in run(project, "dvc", "stage", "list", "--name-only").split()

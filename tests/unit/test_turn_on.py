@@ -1,6 +1,5 @@
 """Rows are turned on without disturbing the parameter file."""
 
-from argparse import Namespace
 from pathlib import Path
 
 import pytest
@@ -9,14 +8,13 @@ from ruamel.yaml import YAML
 from pipeline.config import entries, load
 from pipeline.datasets.prepare import PrepareConfig
 from pipeline.errors import ConfigError, UserError
-from stages.run_row import round_trip_yaml, turn_on, turn_on_baseline
+from pipeline.rows.params_file import round_trip_yaml
+from pipeline.rows.turn_on import Options, turn_on, turn_on_baseline
 from tests.fresh_params import write_fresh_params
 from tests.pascal3d_tree import release
 from tests.picture_trees import tree, write_folder, write_tar
 
 ROOT = Path(__file__).parents[2]
-USUAL = {"size": "laptop", "ablation": "none", "seed": 0, "source": None, "features": None}
-USUAL |= {"dataset": None, "category": None, "baseline": None}
 
 
 @pytest.fixture
@@ -31,10 +29,6 @@ def photographs(tmp_path: Path) -> Path:
     return write_folder(tmp_path / "photographs", {f"train/{category}/1.jpg": b"" for category in categories})
 
 
-def _options(row: str, **unusual: object) -> Namespace:
-    return Namespace(**{**USUAL, "row": row, **unusual})
-
-
 def test_the_project_s_own_file_keeps_its_layout(tmp_path: Path) -> None:
     yaml = round_trip_yaml()
     yaml.dump(yaml.load(ROOT / "params.yaml"), tmp_path / "params.yaml")
@@ -43,13 +37,13 @@ def test_the_project_s_own_file_keeps_its_layout(tmp_path: Path) -> None:
 
 def test_what_is_on_stays_as_it_is(params: Path) -> None:
     before = params.read_bytes()
-    assert turn_on(params, _options("toybox-car")) == "toybox-car"
+    assert turn_on(params, Options("toybox-car")) == "toybox-car"
     assert params.read_bytes() == before
 
 
 @pytest.mark.parametrize("row", ["toybox-aeroplane", "toybox-car", "toybox-chair", "toybox-horse"])
 def test_a_run_has_the_photographs_of_its_row(params: Path, row: str) -> None:
-    name = turn_on(params, _options(row, seed=3))
+    name = turn_on(params, Options(row, seed=3))
     document = YAML(typ="safe").load(params)
     run, settings = document["runs"][name], document["rows"][row]
     assert (run["row"], run["dataset"], run["category"]) == (row, settings["dataset"], settings["category"])
@@ -59,21 +53,21 @@ def test_a_run_has_the_photographs_of_its_row(params: Path, row: str) -> None:
 
 def test_photographs_with_a_table_of_poses_are_a_posed_folder(params: Path, tmp_path: Path) -> None:
     source = write_folder(tmp_path / "cars", {**tree(), "poses.csv": b""})
-    options = _options("pascal-car", dataset="stanford", category="car", source=source)
+    options = Options("pascal-car", dataset="stanford", category="car", source=source)
     assert turn_on(params, options) == "stanford-car"
     assert YAML(typ="safe").load(params)["datasets"]["stanford"] == {"kind": "posed_folder", "source": str(source)}
 
 
 def test_the_release_of_pascal3d_is_known_by_its_annotations(params: Path, tmp_path: Path) -> None:
     for source in (write_folder(tmp_path / "release", release()), write_tar(tmp_path / "release.tar", release())):
-        assert turn_on(params, _options("pascal-car", source=source)) == "pascal-car"
+        assert turn_on(params, Options("pascal-car", source=source)) == "pascal-car"
         expected = {"kind": "pascal3d", "source": str(source)}
         assert YAML(typ="safe").load(params)["datasets"]["pascal3d"] == expected
 
 
 def test_a_row_brings_its_dataset_features_and_run(params: Path, tmp_path: Path) -> None:
     archive, before = write_tar(tmp_path / "cifar10_jpeg.tar", tree()), params.read_text().splitlines()
-    assert turn_on(params, _options("cifar10-horse", source=archive)) == "cifar10-horse"
+    assert turn_on(params, Options("cifar10-horse", source=archive)) == "cifar10-horse"
     document = YAML(typ="safe").load(params)
     assert document["datasets"]["cifar10"] == {"kind": "folder", "source": str(archive)}
     weights = "data/raw/wide_resnet_16_2_cifar10.safetensors"
@@ -90,7 +84,7 @@ def test_a_given_network_gets_pictures_of_the_size_it_needs(params: Path, tmp_pa
     weights = tmp_path / "squeezenet.npz"
     weights.touch()
     given = {"dataset": "cars", "category": "car", "source": photographs, "features": weights}
-    assert turn_on(params, _options("pascal-car", size="laptop-imagenet", **given)) == "cars-car-laptop-imagenet"
+    assert turn_on(params, Options("pascal-car", size="laptop-imagenet", **given)) == "cars-car-laptop-imagenet"
     before = params.read_bytes()
     document = YAML(typ="safe").load(params)
     assert document["datasets"]["cars"] == {
@@ -101,53 +95,53 @@ def test_a_given_network_gets_pictures_of_the_size_it_needs(params: Path, tmp_pa
     assert document["features"]["cars-laptop-imagenet"]["weights"] == str(weights)
     for source in (photographs, None):
         with pytest.raises(ConfigError, match="pictures of 'cars' are 64 px, but this run compares 32 px"):
-            turn_on(params, _options("pascal-car", dataset="cars", category="car", source=source))
+            turn_on(params, Options("pascal-car", dataset="cars", category="car", source=source))
     assert params.read_bytes() == before
 
 
 @pytest.mark.parametrize(("row", "own"), [("pascal-car", {"folder": {"fit": "pad"}}), ("cifar10-automobile", {})])
 def test_photographs_cut_to_boxes_stay_whole(params: Path, photographs: Path, row: str, own: dict[str, object]) -> None:
-    turn_on(params, _options(row, dataset="cars", category="car", source=photographs))
+    turn_on(params, Options(row, dataset="cars", category="car", source=photographs))
     expected = {"kind": "folder", "source": str(photographs), **own}
     assert YAML(typ="safe").load(params)["datasets"]["cars"] == expected
 
 
 def test_photographs_that_were_cut_are_no_whole_ones(params: Path, photographs: Path) -> None:
     given = {"dataset": "market", "source": photographs}
-    turn_on(params, _options("cifar10-automobile", category="cart", **given))
+    turn_on(params, Options("cifar10-automobile", category="cart", **given))
     before = params.read_bytes()
     with pytest.raises(ConfigError, match="pictures of 'market' are cut to a square, but this row wants them whole"):
-        turn_on(params, _options("pascal-car", category="stall", **given))
+        turn_on(params, Options("pascal-car", category="stall", **given))
     assert params.read_bytes() == before
 
 
 def test_names_say_what_is_unusual(params: Path, photographs: Path) -> None:
     unusual = {"size": "paper", "ablation": "no-symmetry", "seed": 2}
-    assert turn_on(params, _options("toybox-car", **unusual)) == "toybox-car-paper-no-symmetry-seed2"
+    assert turn_on(params, Options("toybox-car", **unusual)) == "toybox-car-paper-no-symmetry-seed2"
     own = {"source": photographs, "dataset": "market", "category": "cart"}
-    assert turn_on(params, _options("cifar10-automobile", **own)) == "market-cart"
+    assert turn_on(params, Options("cifar10-automobile", **own)) == "market-cart"
     document = YAML(typ="safe").load(params)
     assert document["runs"]["market-cart"]["row"] == "cifar10-automobile"
     assert document["datasets"]["market"]["source"] == str(photographs)
 
 
 def test_a_base_shape_that_was_chosen_stays_chosen(params: Path) -> None:
-    turn_on(params, _options("toybox-chair"))
+    turn_on(params, Options("toybox-chair"))
     document = round_trip_yaml().load(params)
     document["base_shapes"]["toybox-chair"]["chosen"] = 2
     round_trip_yaml().dump(document, params)
     for ablation in ("none", "longer"):
-        name = turn_on(params, _options("toybox-chair", ablation=ablation))
+        name = turn_on(params, Options("toybox-chair", ablation=ablation))
         document = YAML(typ="safe").load(params)
         assert document["base_shapes"][document["runs"][name]["base_shape"]]["chosen"] == 2
 
 
 def test_a_second_row_for_the_same_photographs_is_refused(params: Path, photographs: Path) -> None:
     own = {"source": photographs, "dataset": "mine", "category": "cat"}
-    turn_on(params, _options("toybox-horse", **own))
+    turn_on(params, Options("toybox-horse", **own))
     before = params.read_bytes()
     with pytest.raises(ConfigError, match=r"base_shapes\.mine-cat is on with row toybox-horse, not toybox-chair;"):
-        turn_on(params, _options("toybox-chair", **own))
+        turn_on(params, Options("toybox-chair", **own))
     assert params.read_bytes() == before
 
 
@@ -162,10 +156,10 @@ def test_two_runs_of_one_name_are_refused(
     params: Path, photographs: Path, first: dict[str, object], second: dict[str, object], difference: str
 ) -> None:
     usual = {"source": photographs, "dataset": "mine", "category": "car"}
-    turn_on(params, _options("toybox-car", **{**usual, **first}))
+    turn_on(params, Options("toybox-car", **{**usual, **first}))
     before = params.read_bytes()
     with pytest.raises(ConfigError, match=f"is on with {difference}; name the same photographs differently"):
-        turn_on(params, _options("toybox-car", **{**usual, **second}))
+        turn_on(params, Options("toybox-car", **{**usual, **second}))
     assert params.read_bytes() == before
 
 
@@ -173,10 +167,10 @@ def test_other_weights_for_features_that_are_on_are_refused(params: Path, tmp_pa
     for name in ("a", "b"):
         (tmp_path / f"{name}.npz").touch()
     given = {"dataset": "cars", "source": photographs, "size": "laptop-imagenet"}
-    turn_on(params, _options("pascal-car", category="van", features=tmp_path / "a.npz", **given))
+    turn_on(params, Options("pascal-car", category="van", features=tmp_path / "a.npz", **given))
     before = params.read_bytes()
     with pytest.raises(ConfigError, match=r"features\.cars-laptop-imagenet is on with weights .*a\.npz, not .*b\.npz"):
-        turn_on(params, _options("pascal-car", category="bus", features=tmp_path / "b.npz", **given))
+        turn_on(params, Options("pascal-car", category="bus", features=tmp_path / "b.npz", **given))
     assert params.read_bytes() == before
 
 
@@ -185,7 +179,7 @@ def test_other_weights_for_features_that_are_on_are_refused(params: Path, tmp_pa
     [("no-symmetry", "toybox-car-no-symmetry-seed1"), ("no-view-prior", "toybox-car-seed1")],
 )
 def test_a_base_shape_is_shared_where_the_ablation_leaves_it(params: Path, ablation: str, base_shape: str) -> None:
-    name = turn_on(params, _options("toybox-car", ablation=ablation, seed=1))
+    name = turn_on(params, Options("toybox-car", ablation=ablation, seed=1))
     document = YAML(typ="safe").load(params)
     assert document["runs"][name]["base_shape"] == base_shape
     assert document["runs"][name]["ablation"] == ablation
@@ -194,7 +188,7 @@ def test_a_base_shape_is_shared_where_the_ablation_leaves_it(params: Path, ablat
 
 @pytest.mark.parametrize("baseline", ["hologan", "colmap"])
 def test_a_baseline_shares_the_settings_of_its_run(params: Path, baseline: str) -> None:
-    name = turn_on(params, _options("toybox-car", seed=1))
+    name = turn_on(params, Options("toybox-car", seed=1))
     turn_on_baseline(params, baseline, name)
     document = YAML(typ="safe").load(params)
     assert list(document[baseline]) == ["toybox-car-seed1"]
@@ -205,36 +199,34 @@ def test_a_baseline_shares_the_settings_of_its_run(params: Path, baseline: str) 
 
 def test_a_baseline_can_be_turned_on_again(params: Path) -> None:
     params.write_text(params.read_text().replace("\nhologan: {}", "\nhologan:"))  # its only entry was deleted
-    name = turn_on(params, _options("toybox-car", seed=1))
+    name = turn_on(params, Options("toybox-car", seed=1))
     turn_on_baseline(params, "hologan", name)
     assert list(YAML(typ="safe").load(params)["hologan"]) == ["toybox-car-seed1"]
 
 
 def test_a_category_that_is_on_is_not_looked_for_again(params: Path, photographs: Path) -> None:
-    given = {"dataset": "market", "category": "cart"}
-    turn_on(params, _options("cifar10-automobile", source=photographs, **given))
+    cart = Options("cifar10-automobile", dataset="market", category="cart")
+    turn_on(params, cart._replace(source=photographs))
     (photographs / "train/cart/1.jpg").unlink()
-    assert turn_on(params, _options("cifar10-automobile", seed=1, **given)) == "market-cart-seed1"
-    given["category"] = "stall"
-    turn_on(params, _options("cifar10-automobile", **given))
-    given["category"] = "stalls"
+    assert turn_on(params, cart._replace(seed=1)) == "market-cart-seed1"
+    turn_on(params, cart._replace(category="stall"))
     with pytest.raises(ConfigError, match="'market' has no category 'stalls'; did you mean 'stall'"):
-        turn_on(params, _options("cifar10-automobile", **given))
+        turn_on(params, cart._replace(category="stalls"))
 
 
 def test_photographs_of_which_something_is_learned_stay(params: Path, tmp_path: Path, photographs: Path) -> None:
     given = {"dataset": "market", "source": photographs}
-    turn_on(params, _options("cifar10-automobile", category="cart", **given))
+    turn_on(params, Options("cifar10-automobile", category="cart", **given))
     before = params.read_bytes()
     given["source"] = write_folder(tmp_path / "others", {"train/bus/1.jpg": b"", "test/bus/1.jpg": b""})
     words = (
         r"runs\.market-cart learns 'cart' of 'market', but SOURCE=.*others has no such category; name a second dataset"
     )
     with pytest.raises(ConfigError, match=words):
-        turn_on(params, _options("cifar10-automobile", category="bus", **given))
+        turn_on(params, Options("cifar10-automobile", category="bus", **given))
     assert params.read_bytes() == before
     photographs = photographs.rename(tmp_path / "moved")
-    turn_on(params, _options("cifar10-automobile", category="bus", dataset="market", source=photographs))
+    turn_on(params, Options("cifar10-automobile", category="bus", dataset="market", source=photographs))
     assert YAML(typ="safe").load(params)["datasets"]["market"]["source"] == str(photographs)
 
 
@@ -242,15 +234,15 @@ def test_longer_training_is_no_shorter(params: Path) -> None:
     before = params.read_bytes()
     words = "ablation 'longer' trains for 2400 iterations, fewer than the 10000 of size 'paper'"
     with pytest.raises(ConfigError, match=words):
-        turn_on(params, _options("toybox-car", size="paper", ablation="longer"))
+        turn_on(params, Options("toybox-car", size="paper", ablation="longer"))
     assert params.read_bytes() == before
-    assert turn_on(params, _options("toybox-car", ablation="longer")) == "toybox-car-longer"
+    assert turn_on(params, Options("toybox-car", ablation="longer")) == "toybox-car-longer"
 
 
 @pytest.mark.parametrize("name", ["on", "No", "null", "2026", "1_0", "true"])
 def test_names_stay_names(params: Path, tmp_path: Path, name: str) -> None:
     source = write_folder(tmp_path / "photographs", {f"train/{name}/1.jpg": b""})
-    turn_on(params, _options("cifar10-automobile", dataset=name, category=name, source=source))
+    turn_on(params, Options("cifar10-automobile", dataset=name, category=name, source=source))
     config = load(params, PrepareConfig, ["prepare_data", f"datasets.{name}"])
     assert (config.kind, config.source) == ("folder", str(source))
     assert entries(params, "runs")[f"{name}-{name}"]["category"] == name
@@ -259,21 +251,21 @@ def test_names_stay_names(params: Path, tmp_path: Path, name: str) -> None:
 def test_some_settings_of_a_toybox_may_be_its_own(params: Path) -> None:
     own = "\n  toybox:\n    toybox: {photograph: {supersampling: 4}}"
     params.write_text(params.read_text().replace("\n  toybox:", own, 1))
-    assert turn_on(params, _options("toybox-car", seed=1)) == "toybox-car-seed1"
+    assert turn_on(params, Options("toybox-car", seed=1)) == "toybox-car-seed1"
 
 
 def test_an_archive_of_cifar10_may_lie_elsewhere(params: Path, tmp_path: Path) -> None:
     archive = tmp_path / "cifar-10-python.tar.gz"
     archive.touch()
-    turn_on(params, _options("cifar10-automobile", source=archive))
+    turn_on(params, Options("cifar10-automobile", source=archive))
     archive.unlink()
-    assert turn_on(params, _options("cifar10-horse")) == "cifar10-horse"
+    assert turn_on(params, Options("cifar10-horse")) == "cifar10-horse"
 
 
 def test_the_official_archive_is_known_by_its_name(params: Path, tmp_path: Path) -> None:
     archive = tmp_path / "cifar-10-python.tar.gz"
     archive.touch()
-    turn_on(params, _options("cifar10-automobile", source=archive))
+    turn_on(params, Options("cifar10-automobile", source=archive))
     assert YAML(typ="safe").load(params)["datasets"]["cifar10"]["kind"] == "cifar10"
 
 
@@ -281,39 +273,39 @@ def test_what_is_no_parameter_file_is_said(params: Path) -> None:
     text = params.read_text()
     params.write_text(text.replace("\nrows:", "\nrws:"))
     with pytest.raises(ConfigError, match="has no 'rows'; did you mean 'rws'"):
-        turn_on(params, _options("toybox-car"))
+        turn_on(params, Options("toybox-car"))
     params.write_text(text + "\n]")
     with pytest.raises(ConfigError, match="is not valid YAML"):
-        turn_on(params, _options("toybox-car"))
+        turn_on(params, Options("toybox-car"))
 
 
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (_options("cifar10-hors"), "did you mean 'cifar10-horse'"),
-        (_options("toybox-car", size="labtop"), "did you mean 'laptop'"),
-        (_options("toybox-car", ablation="no-symetry"), "did you mean 'no-symmetry'"),
+        (Options("cifar10-hors"), "did you mean 'cifar10-horse'"),
+        (Options("toybox-car", size="labtop"), "did you mean 'laptop'"),
+        (Options("toybox-car", ablation="no-symetry"), "did you mean 'no-symmetry'"),
         (
-            _options("toybox-car", size="paper-imagenet", features=ROOT / "params.yaml", baseline="hologan"),
+            Options("toybox-car", size="paper-imagenet", features=ROOT / "params.yaml", baseline="hologan"),
             "HoloGAN draws 32 px, but pictures of size 'paper-imagenet' have 128 px; choose another SIZE=",
         ),
-        (_options("pascal-chair"), "no photographs of 'pascal3d' yet"),
-        (_options("cifar10-horse", source=Path("nowhere.tar")), "SOURCE=nowhere.tar does not exist"),
-        (_options("toybox-car", seed=1, size="paper", features=Path("no.npz")), "FEATURES=no.npz does not exist"),
-        (_options("toybox-car", features=Path("my net.npz")), "FEATURES='my net.npz' becomes part of a command"),
-        (_options("toybox-car", category="sports car"), "CATEGORY='sports car' has other characters than letters"),
-        (_options("xyz"), "rows has no 'xyz'; expected one of: cifar10-automobile, cifar10-horse"),
-        (_options("toybox-car", category="plane"), "'toybox' has no category 'plane'; did you mean 'aeroplane'"),
-        (_options("toybox-car", source=ROOT), "the embedded data set and has no SOURCE="),
+        (Options("pascal-chair"), "no photographs of 'pascal3d' yet"),
+        (Options("cifar10-horse", source=Path("nowhere.tar")), "SOURCE=nowhere.tar does not exist"),
+        (Options("toybox-car", seed=1, size="paper", features=Path("no.npz")), "FEATURES=no.npz does not exist"),
+        (Options("toybox-car", features=Path("my net.npz")), "FEATURES='my net.npz' becomes part of a command"),
+        (Options("toybox-car", category="sports car"), "CATEGORY='sports car' has other characters than letters"),
+        (Options("xyz"), "rows has no 'xyz'; expected one of: cifar10-automobile, cifar10-horse"),
+        (Options("toybox-car", category="plane"), "'toybox' has no category 'plane'; did you mean 'aeroplane'"),
+        (Options("toybox-car", source=ROOT), "the embedded data set and has no SOURCE="),
         (
-            _options("toybox-car", size="laptop-imagenet", features=ROOT / "params.yaml"),
+            Options("toybox-car", size="laptop-imagenet", features=ROOT / "params.yaml"),
             "pictures of 'toybox' are 32 px, but this run compares 64 px",
         ),
-        (_options("toybox-car", dataset="my.v2"), "DATASET='my.v2' has other characters than letters"),
-        (_options("cifar10-horse", source=ROOT / "docs"), "has no pictures at train/<category>/ and test/<category>/"),
+        (Options("toybox-car", dataset="my.v2"), "DATASET='my.v2' has other characters than letters"),
+        (Options("cifar10-horse", source=ROOT / "docs"), "has no pictures at train/<category>/ and test/<category>/"),
     ],
 )
-def test_a_wrong_name_changes_nothing(params: Path, options: Namespace, words: str) -> None:
+def test_a_wrong_name_changes_nothing(params: Path, options: Options, words: str) -> None:
     before = params.read_bytes()
     with pytest.raises(UserError, match=words):
         turn_on(params, options)
@@ -323,7 +315,7 @@ def test_a_wrong_name_changes_nothing(params: Path, options: Namespace, words: s
 def test_features_by_a_given_network_need_its_weights(params: Path, photographs: Path) -> None:
     before = params.read_bytes()
     with pytest.raises(ConfigError, match="by a given network; name its weights with FEATURES="):
-        turn_on(params, _options("pascal-car", size="laptop-imagenet", dataset="cars", source=photographs))
+        turn_on(params, Options("pascal-car", size="laptop-imagenet", dataset="cars", source=photographs))
     assert params.read_bytes() == before
 
 
@@ -341,5 +333,5 @@ def test_a_category_that_the_photographs_have_not_changes_nothing(
             path = tmp_path / "cifar-10-python.tar.gz"
             path.touch()
     with pytest.raises(ConfigError, match=f"'cifar10' has no category '{known}s'; did you mean '{known}'"):
-        turn_on(params, _options("cifar10-horse", category=f"{known}s", source=path))
+        turn_on(params, Options("cifar10-horse", category=f"{known}s", source=path))
     assert params.read_bytes() == before

@@ -1,0 +1,192 @@
+"""Turn rows of the paper on in params.yaml."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ruamel.yaml.comments import CommentedMap
+
+from pipeline.config import load, merge, require_known, scalar
+from pipeline.datasets.prepared import is_plain
+from pipeline.datasets.survey import survey
+from pipeline.errors import ConfigError
+from pipeline.files import atomic_path
+from pipeline.networks.seed_choice import BY_SCORE
+from pipeline.rows.params_file import put, round_trip_yaml
+from pipeline.rows.photographs import require_category, turn_on_dataset
+from pipeline.training.base_shape import BaseShapeConfig
+
+BASELINES = ("hologan", "colmap")
+SWITCHES = ("datasets", "features", "base_shapes", "runs", *BASELINES)
+EMBEDDED = "toybox"
+
+
+class Options(NamedTuple):
+    """What is to be run.
+
+    Attributes:
+        row: an entry of `rows`.
+        size: an entry of `sizes`.
+        ablation: an entry of `ablations`.
+        source: folder or archive of the photographs; None where they are on.
+        features: weights of the network that compares pictures; None for those of its size.
+        dataset: a name for the photographs; None for the row's.
+        category: the one among them; None for the row's.
+        baseline: what is measured on the same photographs instead.
+    """
+
+    row: str
+    size: str = "laptop"
+    ablation: str = "none"
+    seed: int = 0
+    source: Path | None = None
+    features: Path | None = None
+    dataset: str | None = None
+    category: str | None = None
+    baseline: str | None = None
+
+
+def turn_on(path: Path, options: Options) -> str:
+    """Add the run that the options describe to the file, keeping its comments, and return the run's name.
+
+    The name leaves out what is usual: laptop size, no ablation, seed 0, the row's own photographs. A run whose ablation
+    leaves base shapes as they are shares the base shape of the run without ablation.
+
+    Raises ConfigError for a row, size or ablation that does not exist, for an ablation that would shorten the size's
+    training, for a size at which the baseline cannot draw, for names that are not plain, for a dataset whose source is
+    not known, that lacks this category or another that is learned from it, or whose pictures have another size, for
+    features whose weights are not known, and for a run, a base shape or features of that name that are on with other
+    settings.
+    """
+    for section in (*SWITCHES, "rows", "sizes", "ablations"):
+        scalar(path, section)
+    yaml = round_trip_yaml()
+    document = yaml.load(path)
+    for section in SWITCHES:
+        document[section] = document[section] or CommentedMap()  # after the only entry was removed
+    for kind, name in (("rows", options.row), ("sizes", options.size), ("ablations", options.ablation)):
+        require_known(name, document[kind], f"{path}: {kind} has no")
+    _require_no_shorter(document, options)
+    sections = ("learn_base_shape", f"rows.{options.row}.learn_base_shape", f"sizes.{options.size}.learn_base_shape")
+    config = load(path, BaseShapeConfig, sections)
+    if options.baseline == "hologan":
+        _require_that_hologan_draws(document, options.size, config.renderer.size)
+    dataset, category = _turn_on_photographs(document, options, config)
+    _turn_on_features(document, dataset, options)
+    name = _turn_on_run(document, dataset, category, options)
+    with atomic_path(path) as temporary:
+        yaml.dump(document, temporary)
+    return name
+
+
+def turn_on_baseline(path: Path, baseline: str, run: str) -> None:
+    """Add the baseline beside a run that is on, with the settings of the run that it shares."""
+    yaml = round_trip_yaml()
+    document = yaml.load(path)
+    settings = ("size", "seed", "dataset", "category", "features")
+    document[baseline].fa.set_block_style()
+    put(document[baseline], run, {name: document["runs"][run][name] for name in settings})
+    with atomic_path(path) as temporary:
+        yaml.dump(document, temporary)
+
+
+def _turn_on_photographs(document: CommentedMap, options: Options, config: BaseShapeConfig) -> tuple[str, str]:
+    """Add the photographs where they are not on, and return the names of data set and category."""
+    row = document["rows"][options.row]
+    dataset, category = options.dataset or row["dataset"], options.category or row["category"]
+    _require_plain("DATASET", dataset)
+    _require_plain("CATEGORY", category)
+    if dataset == EMBEDDED and options.source is not None:
+        raise ConfigError(f"'{EMBEDDED}' is the embedded data set and has no SOURCE=; name yours with DATASET=")
+    contents = None if options.source is None else survey(_existing("SOURCE", options.source))
+    turn_on_dataset(document, dataset, contents, config)
+    require_category(document, dataset, category, contents)
+    return dataset, category
+
+
+def _turn_on_features(document: CommentedMap, dataset: str, options: Options) -> None:
+    name, size, weights = _features_name(dataset, options), options.size, options.features
+    features = document["features"]
+    if weights is None:
+        if name in features:
+            return
+        if document["sizes"][size]["train_features"].get("method") == "pretrained":
+            raise ConfigError(f"size '{size}' compares pictures by a given network; name its weights with FEATURES=")
+    if weights is not None and not re.fullmatch(r"[\w./~+-]+", str(weights)):
+        raise ConfigError(f"FEATURES={str(weights)!r} becomes part of a command; give a path without spaces and quotes")
+    given = document["weights"] if weights is None else str(_existing("FEATURES", weights))
+    entry = {"dataset": dataset, "size": size, "seed": 0, "weights": given}
+    _require_same(features.get(name, entry), entry, f"features.{name}")
+    put(features, name, entry)
+
+
+def _turn_on_run(document: CommentedMap, dataset: str, category: str, options: Options) -> str:
+    """Add the run, and its base shape where no other run has it; return the run's name."""
+    row = document["rows"][options.row]
+    own = (dataset, category) != (row["dataset"], row["category"])
+    subject = f"{dataset}-{category}" if own else options.row
+    entry = {"row": options.row, "size": options.size, "ablation": options.ablation, "seed": options.seed}
+    entry |= {"dataset": dataset, "category": category, "features": _features_name(dataset, options)}
+    name = _name(subject, entry)
+    changes_base_shape = bool(document["ablations"][options.ablation]["learn_base_shape"])
+    base_shape = entry | {"ablation": options.ablation if changes_base_shape else "none"}
+    for section, its_name, its_entry, additions in (
+        ("base_shapes", _name(subject, base_shape), base_shape, {"chosen": BY_SCORE}),
+        ("runs", name, entry | {"base_shape": _name(subject, base_shape)}, {}),
+    ):
+        known = document[section].get(its_name, its_entry | additions)
+        _require_same(known, its_entry, f"{section}.{its_name}")
+        put(document[section], its_name, known)
+    return name
+
+
+def _features_name(dataset: str, options: Options) -> str:
+    return f"{dataset}-{options.size}"
+
+
+def _name(subject: str, entry: Mapping[str, Any]) -> str:
+    unusual = [subject] + [entry["size"]] * (entry["size"] != "laptop")
+    unusual += [entry["ablation"]] * (entry["ablation"] != "none") + [f"seed{entry['seed']}"] * (entry["seed"] != 0)
+    return "-".join(unusual)
+
+
+def _require_same(entry: Mapping[str, Any], wanted: Mapping[str, Any], key: str) -> None:
+    for name, value in wanted.items():
+        if entry.get(name) != value:
+            raise ConfigError(
+                f"{key} is on with {name} {entry.get(name)}, not {value}; name the same photographs differently with "
+                f"DATASET= and SOURCE=, or remove {key} from params.yaml"
+            )
+
+
+def _require_no_shorter(document: CommentedMap, options: Options) -> None:
+    """Refuse an ablation with a number of iterations that a larger size's training exceeds."""
+    usual = merge(document["train_full"], document["sizes"][options.size]["train_full"])["iterations"]
+    iterations = document["ablations"][options.ablation]["train_full"].get("iterations", usual)
+    if iterations < usual:
+        raise ConfigError(
+            f"ablation '{options.ablation}' trains for {iterations} iterations, fewer than the {usual} of size "
+            f"'{options.size}'; leave one of the two out"
+        )
+
+
+def _require_that_hologan_draws(document: CommentedMap, size: str, picture_size: int) -> None:
+    """Refuse a size whose pictures are larger than those that HoloGAN draws at it."""
+    drawn = merge(document["train_hologan"], document["sizes"][size]["train_hologan"])["network"]["image_size"]
+    if drawn != picture_size:
+        raise ConfigError(
+            f"HoloGAN draws {drawn} px, but pictures of size '{size}' have {picture_size} px; choose another SIZE="
+        )
+
+
+def _existing(option: str, path: Path) -> Path:
+    path = path.expanduser()
+    if not path.exists():
+        raise ConfigError(f"{option}={path} does not exist; name a file or a folder that does")
+    return path
+
+
+def _require_plain(option: str, name: str) -> None:
+    if not is_plain(name):
+        raise ConfigError(f"{option}={name!r} has other characters than letters, digits, _ and -; use those alone")
