@@ -1,28 +1,18 @@
 """Measure a run's reconstructions, and its viewpoints and shapes where the truth is known."""
 
-from argparse import Namespace
 from pathlib import Path
 
 import torch
-from jaxtyping import Int
-from torch import Tensor
 
 from pipeline.config import load
 from pipeline.datasets.images import load_images
-from pipeline.evaluation.artifacts import (
-    Reconstructions,
-    load_photographs,
-    load_reconstructions,
-    load_true_split,
-    select,
-)
-from pipeline.evaluation.evaluate import ChainResult, EvaluateConfig, evaluate_images, evaluate_truth
+from pipeline.evaluation.artifacts import load_photographs, load_reconstructions, load_true_split, select
+from pipeline.evaluation.evaluate import EvaluateConfig, chain_result, evaluate_images, evaluate_truth
 from pipeline.evaluation.multiview import evaluate_views
 from pipeline.evaluation.tables import write_table
 from pipeline.files import load_tensors, write_json
-from pipeline.geometry.camera import pose_from_tensor
 from pipeline.networks.feature_extractor import load_feature_extractor
-from pipeline.networks.full_model import FullModel, load_full_model
+from pipeline.networks.full_model import load_full_model
 from stages.command_line import parse, run
 
 
@@ -53,28 +43,14 @@ def main() -> None:
         figures |= {"multiview": views}
     training, test = (load_true_split(arguments.truth, split, arguments.category) for split in ("train", "test"))
     if test is not None and training is not None:
-        visited = load_tensors(arguments.model)[0]["train_visits"].nonzero().flatten()
-        learned = load_results(arguments, reconstructions, full_model, visited)
+        (model, _), (mesh, _) = load_tensors(arguments.model), load_tensors(arguments.mesh)
+        visited = model["train_visits"].nonzero().flatten()
+        learned = chain_result(reconstructions, full_model, model["train_pose"][visited], mesh)
         splits = select(training, visited), select(test, reconstructions.test_index)
         compared, columns = evaluate_truth(learned, *splits, config)
         figures, table = figures | compared, table | columns
     write_json(arguments.out, figures)
     write_table(arguments.table, table)
-
-
-def load_results(
-    arguments: Namespace, reconstructions: Reconstructions, full_model: FullModel, visited: Int[Tensor, " N"]
-) -> ChainResult:
-    """Collect what is compared with the truth: of training photographs those that were visited."""
-    model, mesh = (load_tensors(path)[0] for path in (arguments.model, arguments.mesh))
-    return ChainResult(
-        reconstructions,
-        pose_from_tensor(model["train_pose"][visited]),
-        mesh["vertices"],
-        full_model.shapes.base().detach() if full_model.config.two_stage else None,
-        mesh["faces"],
-        full_model.config.renderer,
-    )
 
 
 if __name__ == "__main__":

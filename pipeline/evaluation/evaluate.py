@@ -18,8 +18,9 @@ from pipeline.evaluation.retrieval import retrieve
 from pipeline.evaluation.shape import fit_constant, iou, vertex_deviation
 from pipeline.evaluation.shape_metrics import ShapeMetricsConfig, TrueShapes, silhouettes
 from pipeline.evaluation.statistics import Figure, mean_figure
-from pipeline.geometry.camera import Pose
+from pipeline.geometry.camera import Pose, pose_from_tensor
 from pipeline.networks.feature_extractor import FeatureExtractor
+from pipeline.networks.full_model import FullModel
 from pipeline.ranges import Count, Natural
 from pipeline.rendering.renderer import RendererConfig
 from pipeline.seeding import generator
@@ -91,6 +92,18 @@ def evaluate_images(
         "vertex_deviation": spread,
     }
     return figures, table
+
+
+def chain_result(
+    reconstructions: Reconstructions,
+    model: FullModel,
+    training_pose: Float[Tensor, "N 6"],
+    mesh: Mapping[str, Tensor],
+) -> ChainResult:
+    """Collect what the chain learned from the tensors of its artifacts."""
+    base = model.shapes.base().detach() if model.config.two_stage else None
+    pose, renderer = pose_from_tensor(training_pose), model.config.renderer
+    return ChainResult(reconstructions, pose, mesh["vertices"], base, mesh["faces"], renderer)
 
 
 def evaluate_truth(
