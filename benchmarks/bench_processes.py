@@ -17,11 +17,12 @@ from benchmarks.bench_training import PARAMETERS, trainer_of
 from pipeline.config import load
 from pipeline.distributed import divide, is_first
 from pipeline.files import read_json, write_json
+from pipeline.geometry.sphere import build_sphere
 from pipeline.launch import share_work
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.wide_resnet import WideResNet
 from pipeline.seeding import generator, initialised
-from pipeline.training.base_shape import BaseShapeConfig, SeedTrainer, build_sphere
+from pipeline.training.base_shape import BaseShapeConfig, SeedTrainer
 from pipeline.training.photographs import Photographs
 
 SECTIONS = ("learn_base_shape", "rows.toybox-car.learn_base_shape", "sizes.laptop.learn_base_shape")

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import select
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -72,6 +73,8 @@ def in_one_sentence() -> Iterator[None]:
     except UserError as error:
         sys.exit(f"error: {error}")
     except BrokenPipeError:
+        if not _is_unread(sys.stdout.fileno()):
+            raise
         # What is still to be printed, which Python tries once more at its end, goes nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(_UNREAD)
@@ -90,6 +93,13 @@ def in_one_sentence() -> Iterator[None]:
     except KeyboardInterrupt:
         sys.stderr.write("stopped\n")
         sys.exit(_INTERRUPTED)
+
+
+def _is_unread(stream: int) -> bool:
+    """Tell whether the other end of a pipe is closed."""
+    poll = select.poll()
+    poll.register(stream, 0)
+    return any(event & select.POLLERR for _, event in poll.poll(0))
 
 
 def lacks_memory(error: Exception) -> bool:

@@ -14,8 +14,9 @@ from torch import Tensor, nn
 
 from pipeline.distributed import is_first, world
 from pipeline.files import save_tensors, write_json
+from pipeline.geometry.sphere import build_sphere
 from pipeline.networks.scene_generator import scene_tensors
-from pipeline.training.base_shape import SeedTrainer, build_sphere, learn_base_shape
+from pipeline.training.base_shape import SeedTrainer, learn_base_shape
 from pipeline.training.candidates import Record
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.ends import EndsConfig

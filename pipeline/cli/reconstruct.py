@@ -15,21 +15,18 @@ from torch.nn import functional
 from tqdm import tqdm
 
 from pipeline.cli.gallery import write_gallery
-from pipeline.cli.photographs import FILES, RECORD, Target, Task, find_targets
+from pipeline.cli.outputs import Found, write_outputs
+from pipeline.cli.photographs import RECORD, Task, find_targets
 from pipeline.cli.runs import Run
 from pipeline.config import load, scalar
 from pipeline.datasets.decoding import Fit, decode, decode_up_to, reading
 from pipeline.datasets.prepare import PrepareConfig
 from pipeline.device import resolve_precision
 from pipeline.errors import DataError
-from pipeline.export.animation import encoder, write_gif, write_mp4
-from pipeline.export.glb import write_glb
-from pipeline.export.obj import write_obj
+from pipeline.export.animation import encoder
 from pipeline.export.painting import PaintingConfig, paint
-from pipeline.export.picture import enlarge, write_png
+from pipeline.export.picture import write_png
 from pipeline.export.report import ReportConfig
-from pipeline.export.seam import unwrap
-from pipeline.export.views import on_white, render_textured
 from pipeline.files import read_json, sha256, write_json
 from pipeline.geometry.camera import Pose, pose_from_tensor
 from pipeline.networks.feature_extractor import FeatureExtractor, extract, load_feature_extractor
@@ -44,17 +41,6 @@ PAGED = ("mesh", "picture", "pose")
 """Outputs that a photograph needs to be on the page."""
 _SEEN_SIZE = 256
 """Of what is kept of a photograph, in pixels, at most."""
-
-
-class Found(NamedTuple):
-    """What a model reads off a photograph."""
-
-    vertices: Float[Tensor, "1 V 3"]
-    texture: Float[Tensor, "3 T T"]
-    pose: Pose
-    background: Float[Tensor, "1 3 H W"]
-    image: Float[Tensor, "3 H W"]
-    """The reconstruction, rendered over its background."""
 
 
 class Steps(NamedTuple):
@@ -116,7 +102,7 @@ def reconstruct(
             for task, found in zip(readable, find(images.to(device), model, extractor), strict=True):
                 shown = _painted(found, task, model, fit, painting) if steps.paint else found
                 task.claim()
-                _write(task.target, shown, model, report, outputs)
+                write_outputs(task.target, shown, model, report, outputs)
                 if "picture" in outputs:
                     write_png(task.target.file("_photograph.png"), _seen(task, fit, _SEEN_SIZE))
                 written += 1
@@ -228,39 +214,6 @@ def _seen(task: Task, fit: Fit, size: int) -> Float[Tensor, "3 side side"]:
     """Read the square of a photograph that the model sees, at its own resolution up to a size."""
     pixels = decode_up_to(task.photograph.read_bytes(), str(task.photograph), size, fit)
     return torch.from_numpy(pixels.copy()).permute(2, 0, 1) / 255
-
-
-def _write(target: Target, found: Found, model: FullModel, report: ReportConfig, outputs: Sequence[str]) -> None:
-    vertices, texture = found.vertices[0], found.texture
-    faces, directions = model.faces.cpu(), model.directions.cpu()
-    if "mesh" in outputs:
-        mesh = unwrap(vertices, faces, directions, texture.shape[-1])
-        write_glb(target.file(".glb"), mesh, texture)
-        write_obj(target.file(".obj"), mesh, texture)
-    if "picture" in outputs:
-        picture = found.image.clamp(0, 1)
-        factor = max(1, report.view.size // picture.shape[-1])
-        write_png(target.file("_reconstruction.png"), enlarge(picture, factor))
-    if "turntable" in outputs or "video" in outputs:
-        azimuths = [360 * frame / report.frames for frame in range(report.frames)]
-        camera = model.config.renderer.camera
-        turn = on_white(render_textured(vertices, faces, directions, texture, azimuths, camera, report.view))
-        for output, write in (("turntable", write_gif), ("video", write_mp4)):
-            if output in outputs:
-                write(target.file(*FILES[output]), turn, 2400 // report.frames)
-    if "pose" in outputs:
-        write_json(target.file("_pose.json"), describe(found.pose))
-
-
-def describe(pose: Pose) -> dict[str, float | list[float]]:
-    """Return the pose of a single object in degrees and ndc."""
-    return {
-        "azimuth_degrees": pose.azimuth.rad2deg().item() % 360,
-        "elevation_degrees": pose.elevation.rad2deg().item(),
-        "roll_degrees": pose.roll.rad2deg().item(),
-        "center": pose.center[0].tolist(),
-        "scale": pose.scale.item(),
-    }
 
 
 def _require_same_way(out: Path, way: dict[str, str | bool]) -> None:

@@ -21,18 +21,14 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from pipeline.distributed import divide
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.ranges import Count, Natural, NonNegative, Positive, Range, Several
+from pipeline.training.paint import mean_colors, paintless_features
 
 AZIMUTHS = 72
 """Bins; an even number, so that opposite azimuths are bins too."""
 _HARMONICS = 4
 _BALANCING_STEPS = 60
-_MAP_SIZE = 8
-_PROJECTION_ROUNDS = 4
-_LEAST_DEVIATION = 1e-4
-"""Of colours in [0, 1], below which photographs are painted alike."""
 
 
 @dataclass(frozen=True)
@@ -149,58 +145,6 @@ def balance(
     return (scores + colors @ correction).softmax(dim=1)
 
 
-def mean_colors(images: Float[Tensor, "N 3 H W"]) -> Float[Tensor, "N K"]:
-    """Describe the paint: colours of the middle, their deviations and the colours of the border, whitened.
-
-    These are nine numbers, fewer where there are fewer photographs.
-    """
-    size = images.shape[-1]
-    inner = slice(size // 4, size - size // 4)
-    middle = images[:, :, inner, inner].flatten(2)
-    border = images.flatten(2).mean(2) - middle.mean(2) / 4
-    colors = torch.cat([middle.mean(2), middle.std(2), border], 1)
-    colors = colors - colors.mean(dim=0)
-    directions, sizes, _ = torch.linalg.svd(colors, full_matrices=False)
-    directions = directions[:, sizes > _LEAST_DEVIATION * math.sqrt(len(colors))]
-    return (directions * math.sqrt(len(colors))).clamp(-3, 3)
-
-
-def paintless_features(
-    images: Float[Tensor, "N 3 H W"],
-    extractor: FeatureExtractor,
-    components: int,
-    repainting_floor: float,
-    rng: torch.Generator,
-) -> Float[Tensor, "2 N components"]:
-    """Return features of photographs and of their mirror images, whitened by how much repainting changes them."""
-    features = torch.stack(_flat_features([images, images.flip(-1)], extractor))
-    components = min(components, len(images) // 2)
-    features -= features.mean(dim=(0, 1))
-    basis = _principal_directions(features.flatten(0, 1), components, rng)
-    first, second = _flat_features([repaint(images, rng), repaint(images, rng)], extractor)
-    change = (first - second) @ basis
-    covariance = change.T @ change / (2 * len(change))
-    floor = repainting_floor * covariance.trace() / components
-    values, vectors = torch.linalg.eigh(covariance + floor * torch.eye(components, device=images.device))
-    return features @ (basis @ (vectors * values.rsqrt()))
-
-
-def repaint(images: Float[Tensor, "N 3 H W"], rng: torch.Generator) -> Float[Tensor, "N 3 H W"]:
-    """Change gamma, contrast, brightness and saturation of pictures at random, and mix their channels."""
-
-    def normal(deviation: float, *shape: int) -> Tensor:
-        return deviation * torch.randn(len(images), *shape, generator=rng, device=images.device)
-
-    images = images.clamp(min=1e-3) ** normal(0.5, 1, 1, 1).exp()
-    mean = images.mean(dim=(1, 2, 3), keepdim=True)
-    images = mean + (images - mean) * normal(0.4, 1, 1, 1).exp() + normal(0.2, 1, 1, 1)
-    gray = images.mean(dim=1, keepdim=True)
-    images = gray + (images - gray) * normal(0.5, 1, 1, 1).exp()
-    mixing = torch.eye(3, device=images.device) + normal(0.25, 3, 3)
-    mixing = mixing / mixing.sum(dim=2, keepdim=True)
-    return torch.einsum("nij,njhw->nihw", mixing, images).clamp(0, 1)
-
-
 def judge(
     features: Float[Tensor, "2 N components"],
     probabilities: Float[Tensor, "N azimuths"],
@@ -249,31 +193,3 @@ def _agreements(first: Float[Tensor, "N azimuths"], second: Float[Tensor, "N azi
 
 def _opposite(values: Float[Tensor, "... azimuths"]) -> Float[Tensor, "... azimuths"]:
     return values.roll(values.shape[-1] // 2, -1)
-
-
-def _flat_features(pictures: list[Float[Tensor, "N 3 H W"]], extractor: FeatureExtractor) -> list[Float[Tensor, "N D"]]:
-    """Return directions of all feature maps but the first, averaged over a grid: colours and edges are paint.
-
-    Processes divide the sets of pictures.
-    """
-
-    def describe(index: int) -> Float[Tensor, "N D"]:
-        flat = []
-        for batch in pictures[index].split(250):
-            maps = [functional.normalize(layer.float(), dim=1) for layer in extractor(batch)[2:]]
-            grids = [functional.adaptive_avg_pool2d(layer, min(_MAP_SIZE, layer.shape[-1])) for layer in maps]
-            flat.append(torch.cat([grid.flatten(1) for grid in grids], 1))
-        return torch.cat(flat).cpu()
-
-    return [features.to(pictures[0].device) for features in divide(describe, len(pictures))]
-
-
-def _principal_directions(
-    centered: Float[Tensor, "N D"], count: int, rng: torch.Generator
-) -> Float[Tensor, "D components"]:
-    """Return the leading right singular vectors by subspace iteration, from the generator's random start."""
-    start = torch.randn(centered.shape[1], count, generator=rng, device=rng.device)
-    directions = torch.linalg.qr(start).Q
-    for _ in range(_PROJECTION_ROUNDS):
-        directions = torch.linalg.qr(centered.T @ (centered @ directions)).Q
-    return directions

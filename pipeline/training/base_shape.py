@@ -5,17 +5,15 @@ from pathlib import Path
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from pipeline.datasets.images import Images
 from pipeline.distributed import agree, average, average_losses, divide, share, whole, world
 from pipeline.errors import ConfigError, DataError
 from pipeline.geometry.camera import fill_picture
-from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
-from pipeline.geometry.symmetry import mirror_index
-from pipeline.geometry.topology import Topology, topology_of
+from pipeline.geometry.sphere import Sphere, build_sphere
 from pipeline.losses.chamfer import chamfer
 from pipeline.losses.feature_matching import feature_matching
 from pipeline.losses.smoothness import SmoothnessConfig, smoothness
@@ -86,22 +84,6 @@ class BaseShapeConfig:
         """Raise ConfigError for a scale that filling the picture would override."""
         if self.framing == "box" and self.front_scale != 1:
             raise ConfigError(f"front_scale is {self.front_scale} at framing box; expected 1, or framing free")
-
-
-class Sphere(NamedTuple):
-    """The icosphere that base shapes deform.
-
-    Attributes:
-        directions: unit vectors, the texture domain.
-        faces: counter-clockwise from outside.
-        mirror: index of each vertex's mirror image about x = 0.
-        topology: neighbourhoods for the smoothness terms.
-    """
-
-    directions: Float[Tensor, "V 3"]
-    faces: Int[Tensor, "F 3"]
-    mirror: Int[Tensor, " V"]
-    topology: Topology
 
 
 class BaseShapes(NamedTuple):
@@ -222,13 +204,6 @@ class SeedTrainer:
             for _ in range(self.config.score_batches)
         ]
         return average(torch.stack(losses).mean()).item()
-
-
-def build_sphere(subdivisions: int, device: torch.device) -> Sphere:
-    """Build the icosphere with everything that depends on its connectivity alone."""
-    directions, faces = icosphere(subdivisions)
-    directions, faces = directions.to(device), faces.to(device)
-    return Sphere(directions, faces, mirror_index(directions), topology_of(faces))
 
 
 def learn_base_shape(

@@ -33,8 +33,9 @@ from pipeline.errors import ConfigError
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.pose_coordinates import PoseCoordinates
 from pipeline.ranges import Count, NonNegative, Positive, Range, Several
-from pipeline.training.azimuths import AZIMUTHS, judge, paintless_features, regress_held_out
+from pipeline.training.azimuths import AZIMUTHS, judge, regress_held_out
 from pipeline.training.first_poses import cut_to_box
+from pipeline.training.paint import paintless_features
 
 _FEWEST = 50
 """Photographs of sides below which the way they face cannot be told."""

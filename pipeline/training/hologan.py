@@ -76,7 +76,7 @@ class HoloGANTrainer:
         Returns the losses of the discriminator and of the generator's last step, on the device.
         """
         config = self.config
-        rate = falling(config.learning_rate, iteration, config.iterations, config.iterations / 2)
+        rate = falling(config.learning_rate, iteration, config.iterations, 0.5)
         set_learning_rate(rate, self.generator_optimizer, self.discriminator_optimizer)
         latent = self.generator.sample_latent(config.batch_size, self.rng)
         pose = sample_viewpoints(config.viewpoint, config.batch_size, self.rng)

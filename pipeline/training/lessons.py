@@ -60,6 +60,6 @@ def learn_poses(
     step, losses = Recorded(learn, rng.device), []
     for number in tqdm(range(config.iterations), "lessons", disable=silent()):
         rows = share(torch.randint(len(index), (config.batch_size,), generator=rng, device=rng.device))
-        set_learning_rate(falling(config.learning_rate, number, config.iterations, config.iterations / 2), optimizer)
+        set_learning_rate(falling(config.learning_rate, number, config.iterations, 0.5), optimizer)
         losses.append(step(photographs[index[rows]], poses[rows]))
     read_losses(losses, config.iterations - 1, "the lessons")

@@ -9,6 +9,7 @@ import torch
 
 from pipeline.errors import ConfigError, TrainingDiverged
 from pipeline.geometry.camera import CameraConfig, Pose
+from pipeline.geometry.sphere import build_sphere
 from pipeline.losses.smoothness import SmoothnessConfig
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.scene_generator import ConstraintConfig, GeneratorConfig, Scene
@@ -101,7 +102,7 @@ def test_seeds_differ_and_the_lowest_score_wins(
 
 
 def test_seeds_are_scored_on_the_same_batches(images: torch.Tensor, extractor: FeatureExtractor) -> None:
-    sphere = base_shape.build_sphere(CONFIG.subdivisions, torch.device("cpu"))
+    sphere = build_sphere(CONFIG.subdivisions, torch.device("cpu"))
     photographs = Photographs(images, extractor, CONFIG.batch_size, MEMORY)
     first, second = (SeedTrainer(CONFIG, sphere, photographs, extractor, 0, index) for index in range(2))
     assert first.score() != second.score()
@@ -153,7 +154,7 @@ def test_fronts_are_drawn_larger(
         return render(mesh, textures, pose, *rest)
 
     monkeypatch.setattr(base_shape, "render", watched)
-    sphere = base_shape.build_sphere(CONFIG.subdivisions, torch.device("cpu"))
+    sphere = build_sphere(CONFIG.subdivisions, torch.device("cpu"))
     photographs = Photographs(images, extractor, CONFIG.batch_size, MEMORY)
     SeedTrainer(ahead, sphere, photographs, extractor, 0, 0).step(0)
     torch.testing.assert_close(drawn[0].scale, torch.full((CONFIG.batch_size,), 1.4))

@@ -47,7 +47,7 @@ def test_every_command_exists() -> None:
 
 def test_options_are_words_after_make_alone() -> None:
     environment = os.environ | {"SEED": "7", "CATEGORY": "plane", "BASELINE": "colmap"}
-    words = ["make", "--dry-run", "run", "ROW=toybox-car", "SEED=", "SIZE=paper"]
+    words = ["make", "--dry-run", "--no-print-directory", "run", "ROW=toybox-car", "SEED=", "SIZE=paper"]
     made = subprocess.run(words, cwd=ROOT, env=environment, check=True, stdout=subprocess.PIPE, text=True).stdout
     assert made.splitlines()[-1] == 'python -m stages.run_row --row "toybox-car" --size "paper"'
 

@@ -15,13 +15,11 @@ from pipeline.training.azimuths import (
     bins,
     join_votes,
     judge,
-    mean_colors,
     mirrored,
-    paintless_features,
-    repaint,
     standardize,
     symmetric_share,
 )
+from pipeline.training.paint import mean_colors, paintless_features, repaint
 from tests.tiny_full_model import photographs, tiny_extractor
 
 CONFIG = ConsensusConfig(

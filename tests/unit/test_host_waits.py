@@ -16,9 +16,10 @@ from torch.utils._python_dispatch import TorchDispatchMode
 
 from pipeline.geometry.camera import CameraConfig
 from pipeline.geometry.icosphere import icosphere
+from pipeline.geometry.sphere import build_sphere
 from pipeline.rendering.renderer import Mesh, RendererConfig
 from pipeline.seeding import generator
-from pipeline.training.base_shape import SeedTrainer, build_sphere
+from pipeline.training.base_shape import SeedTrainer
 from pipeline.training.full_trainer import FullTrainer
 from pipeline.training.photographs import Photographs
 from pipeline.training.warm_up import draw_sample, warm_up_loss

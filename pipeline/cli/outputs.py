@@ -1,0 +1,64 @@
+"""What is written of a reconstructed photograph."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+from jaxtyping import Float
+from torch import Tensor
+
+from pipeline.cli.photographs import FILES, Target
+from pipeline.export.animation import write_gif, write_mp4
+from pipeline.export.glb import write_glb
+from pipeline.export.obj import write_obj
+from pipeline.export.picture import enlarge, write_png
+from pipeline.export.report import ReportConfig
+from pipeline.export.seam import unwrap
+from pipeline.export.views import on_white, render_textured
+from pipeline.files import write_json
+from pipeline.geometry.camera import Pose
+from pipeline.networks.full_model import FullModel
+
+
+class Found(NamedTuple):
+    """What a model reads off a photograph."""
+
+    vertices: Float[Tensor, "1 V 3"]
+    texture: Float[Tensor, "3 T T"]
+    pose: Pose
+    background: Float[Tensor, "1 3 H W"]
+    image: Float[Tensor, "3 H W"]
+    """The reconstruction, rendered over its background."""
+
+
+def write_outputs(target: Target, found: Found, model: FullModel, report: ReportConfig, outputs: Sequence[str]) -> None:
+    """Write those of the outputs that are made of what was found, each file whole or not at all."""
+    vertices, texture = found.vertices[0], found.texture
+    faces, directions = model.faces.cpu(), model.directions.cpu()
+    if "mesh" in outputs:
+        mesh = unwrap(vertices, faces, directions, texture.shape[-1])
+        write_glb(target.file(".glb"), mesh, texture)
+        write_obj(target.file(".obj"), mesh, texture)
+    if "picture" in outputs:
+        picture = found.image.clamp(0, 1)
+        factor = max(1, report.view.size // picture.shape[-1])
+        write_png(target.file("_reconstruction.png"), enlarge(picture, factor))
+    if "turntable" in outputs or "video" in outputs:
+        azimuths = [360 * frame / report.frames for frame in range(report.frames)]
+        camera = model.config.renderer.camera
+        turn = on_white(render_textured(vertices, faces, directions, texture, azimuths, camera, report.view))
+        for output, write in (("turntable", write_gif), ("video", write_mp4)):
+            if output in outputs:
+                write(target.file(*FILES[output]), turn, 2400 // report.frames)
+    if "pose" in outputs:
+        write_json(target.file("_pose.json"), _describe(found.pose))
+
+
+def _describe(pose: Pose) -> dict[str, float | list[float]]:
+    """Return the pose of a single object in degrees and ndc."""
+    return {
+        "azimuth_degrees": pose.azimuth.rad2deg().item() % 360,
+        "elevation_degrees": pose.elevation.rad2deg().item(),
+        "roll_degrees": pose.roll.rad2deg().item(),
+        "center": pose.center[0].tolist(),
+        "scale": pose.scale.item(),
+    }
