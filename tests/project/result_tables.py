@@ -182,7 +182,7 @@ TABLES: dict[str, Table | Confusion] = {
     ),
     "longer": Table(
         "",
-        r"(toybox-car|stanford-car|cifar10-automobile|cifar10-horse|mine-ship)(-longer)?",
+        r"(toybox-car|toybox-chair|stanford-car|cifar10-automobile|cifar10-horse|mine-ship)(-longer)?",
         {
             "feature distance": "reconstruction.predicted.feature_distance",
             "fine-tuned": "reconstruction.tuned.feature_distance",
