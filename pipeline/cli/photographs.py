@@ -1,6 +1,5 @@
 """Which photographs to reconstruct, and where what comes of them is written."""
 
-import hashlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -9,7 +8,7 @@ from typing import NamedTuple
 from pipeline.datasets.archives import walk
 from pipeline.datasets.folder import ENDINGS, is_hidden
 from pipeline.errors import DataError
-from pipeline.files import atomic_path
+from pipeline.files import atomic_path, sha256
 
 FILES: Mapping[str, Sequence[str]] = {
     "mesh": (".glb", ".obj", ".mtl", "_texture.png"),
@@ -50,7 +49,7 @@ class Task(NamedTuple):
         origin = self.target.file(ORIGIN)
         if not origin.is_file():
             return False
-        if origin.read_text(encoding="utf-8") != self._digest():
+        if origin.read_text(encoding="utf-8") != sha256(self.photograph):
             raise DataError(
                 f"{self.target.path} is made of another photograph than {self.photograph} is now; name another folder, "
                 f"or remove {origin.name} there to write over it"
@@ -60,10 +59,7 @@ class Task(NamedTuple):
     def claim(self) -> None:
         """Say at the target that what is going to be written there is made of this photograph."""
         with atomic_path(self.target.file(ORIGIN)) as temporary:
-            temporary.write_text(self._digest(), encoding="utf-8")
-
-    def _digest(self) -> str:
-        return hashlib.sha256(self.photograph.read_bytes()).hexdigest()
+            temporary.write_text(sha256(self.photograph), encoding="utf-8")
 
 
 def find_targets(out: Path, outputs: Sequence[str]) -> list[Target]:

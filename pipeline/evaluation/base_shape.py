@@ -48,5 +48,5 @@ def _aligned(
     angles = [2 * math.pi * turn / TURNS for turn in range(TURNS)]
     turned = (fit_unit_cube(turn_vertices(seeds, angle)) for angle in angles)
     voxels = torch.stack([voxelize(shapes, faces, known.shape[-1]) for shapes in turned])
-    overlaps = torch.stack([pairwise_iou(shapes, known).mean(1) for shapes in voxels])
+    overlaps = pairwise_iou(voxels.flatten(0, 1), known).mean(1).unflatten(0, (TURNS, -1))
     return voxels[overlaps.argmax(dim=0), torch.arange(len(seeds))]
