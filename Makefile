@@ -5,7 +5,10 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 TOOLS := .venv/.tools_installed
 # Words after `make run`; what the environment calls by such names is no option.
-OPTIONS := $(foreach option,ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASELINE,$(if $(filter command,$(firstword $(origin $(option)))),$(if $($(option)),$(option))))
+NAMES := ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASELINE
+WORDS := $(foreach name,$(.VARIABLES),$(if $(filter command,$(firstword $(origin $(name)))),$(name)))
+OPTIONS := $(foreach option,$(filter $(WORDS),$(NAMES)),$(if $($(option)),$(option)))
+STRAY := $(firstword $(filter-out $(NAMES) PYTHON -%,$(WORDS)))
 # The stages' commands in dvc.yaml call `python`.
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 # Threads that wait should spin for a moment and then sleep: spinning on halves the speed of a busy machine, sleeping at
@@ -21,7 +24,8 @@ install: $(STAMP)  ## set up the environment alone
 
 run: $(if $(filter BASELINE,$(OPTIONS)),$(TOOLS),$(STAMP))  ## add a run to params.yaml and run it: ROW= SIZE=laptop|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASELINE=
 	@test -n "$(filter ROW,$(OPTIONS))" || { echo "name a row: make run ROW=toybox-car, or another of those in params.yaml" >&2; exit 2; }
-	python -m stages.run_row $(foreach option,$(OPTIONS),--$(shell echo $(option) | tr A-Z a-z) "$($(option))")
+	$(if $(STRAY),$(error $(STRAY) is no option of make run; expected: $(NAMES)))
+	python -m stages.run_row $(foreach option,$(OPTIONS),--$(shell echo $(option) | tr A-Z a-z) "$$$(option)")
 
 test: $(TOOLS)  ## the whole test suite
 	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 pytest --numprocesses 2 --dist loadfile

@@ -111,9 +111,10 @@ def test_full_training_step(benchmark: BenchmarkFixture, size: str) -> None:
     benchmark.pedantic(complete(step), rounds=rounds, warmup_rounds=5 if ON_GPU else 1)  # a GPU records the fourth
     benchmark.extra_info["largest_items"] = largest_items(step, 10)
     fresh = trainer_of(size)  # whose first steps are not recorded: what a recording does cannot be counted
-    benchmark.extra_info["floors"] = floors(lambda: fresh.step(trainer.config.iterations // 2))
+    precision = fresh.extractor.precision
+    benchmark.extra_info["floors"] = floors(lambda: fresh.step(trainer.config.iterations // 2), precision)
     if not ON_GPU:
         shares = sorted(share_outside_networks(trainer, next(iterations)) for _ in range(rounds))
         benchmark.extra_info["share_outside_networks"] = round(shares[rounds // 2], 3)
-    benchmark.extra_info["precision"] = str(trainer.extractor.precision).removeprefix("torch.")
+    benchmark.extra_info["precision"] = str(precision).removeprefix("torch.")
     benchmark.extra_info["threads"] = torch.get_num_threads()

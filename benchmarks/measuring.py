@@ -50,14 +50,14 @@ def seconds_on_gpu(function: Callable[[], object]) -> float:
     return seconds(graph.replay, repeats=200)
 
 
-def matrix_rate() -> float:
-    """Measure floating-point operations a second of a large matrix product, as convolutions round it."""
+def matrix_rate(precision: torch.dtype) -> float:
+    """Measure floating-point operations a second of a large matrix product; float32 as convolutions round it."""
     size = 8192 if ON_GPU else 2048
-    factors = torch.randn(2, size, size, device=DEVICE)
-    precision = torch.backends.cuda.matmul.fp32_precision
+    factors = torch.randn(2, size, size, device=DEVICE, dtype=precision)
+    rounding = torch.backends.cuda.matmul.fp32_precision
     torch.backends.cuda.matmul.fp32_precision = "tf32"
     rate = 2 * size**3 / seconds(lambda: factors[0] @ factors[1], repeats=10)
-    torch.backends.cuda.matmul.fp32_precision = precision
+    torch.backends.cuda.matmul.fp32_precision = rounding
     return rate
 
 
@@ -91,16 +91,17 @@ class CountWork(TorchDispatchMode):
         return result
 
 
-def floors(step: Callable[[], object]) -> dict[str, float]:
+def floors(step: Callable[[], object], precision: torch.dtype) -> dict[str, float]:
     """Return the least times of a step: its matrix products at the measured rate, its bytes at the measured bandwidth.
 
-    Kernels of ours count by the tensors they are given memory for.
+    All products count as if they had the precision of the networks. Kernels of ours count by the tensors they are given
+    memory for.
     """
     with CountWork() as work:
         step()
     return {
         "operations": work.operations,
-        "operations_floor_seconds": work.operations / matrix_rate(),
+        "operations_floor_seconds": work.operations / matrix_rate(precision),
         "bytes": work.bytes,
         "bytes_floor_seconds": work.bytes / bandwidth(),
     }

@@ -27,7 +27,7 @@ def read_table(path: Path) -> dict[str, list[str]]:
 
 
 def figure_rows(metrics: Mapping[str, Any], prefix: str = "") -> list[tuple[str, float, float | None, int | None]]:
-    """Flatten nested figures to rows of name, value, standard error and n; the last two are None where not given.
+    """Flatten nested figures and lists of them to rows of name, value, standard error and n, None where not given.
 
     A section that holds n and a standard error of its own lends them to its `value` or `acc_pi6`.
     """
@@ -36,6 +36,9 @@ def figure_rows(metrics: Mapping[str, Any], prefix: str = "") -> list[tuple[str,
         label = f"{prefix}.{name}" if prefix else name
         if isinstance(value, Mapping):
             rows += figure_rows(value, label)
+        elif isinstance(value, list):
+            numbers = ((index, item) for index, item in enumerate(value) if isinstance(item, int | float))
+            rows += [(f"{label}.{index}", number, None, None) for index, number in numbers]
         elif name in ("value", "acc_pi6"):
             rows.append((prefix if name == "value" else label, value, metrics["standard_error"], metrics["n"]))
         elif isinstance(value, int | float) and name not in ("n", "standard_error"):

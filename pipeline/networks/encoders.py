@@ -98,7 +98,7 @@ class Encoder(nn.Module):
         self.project = nn.Linear(widths[-1] * 16, code_size)
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B K"]:
-        """Return the codes of images in [0, 1]; pooling to 4x4 keeps where things are."""
+        """Return the codes of images in [0, 1]; 4x4 averages keep where things are (a smaller last map is spread)."""
         colors = torch.einsum("kc,bchw->bkhw", self.color_mixing, images - self.color_mean[:, None, None])
         with torch.autocast(images.device.type, torch.bfloat16, enabled=self.precision == torch.bfloat16):
             maps = functional.relu(self.normalize(self.groups(self.stem(colors))))

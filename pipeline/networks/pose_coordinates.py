@@ -90,10 +90,10 @@ class PoseCoordinates(nn.Module):
         return center, extent
 
     def draw(self, count: int, rng: torch.Generator) -> Float[Tensor, "B 7"]:
-        """Draw coordinates uniformly: azimuth over the circle, the others over their ranges."""
+        """Draw coordinates uniformly: azimuth over the circle, others over their ranges; 0 where a range is a point."""
         uniform = 2 * torch.rand(count, POSE_COORDINATES - 1, generator=rng, device=rng.device) - 1
         turn = math.pi * uniform[:, :1]
-        return torch.cat([turn.cos(), turn.sin(), uniform[:, 1:]], 1)
+        return torch.cat([turn.cos(), turn.sin(), uniform[:, 1:] * (self.reach > 0)], 1)
 
     def mirror(self, coordinates: Float[Tensor, "... 7"]) -> Float[Tensor, "... 7"]:
         """Return the coordinates of mirror-symmetric objects in the pictures' left-right mirror images."""
@@ -105,4 +105,4 @@ class PoseCoordinates(nn.Module):
     def clamp(self, coordinates: Float[Tensor, "... 7"]) -> Float[Tensor, "... 7"]:
         """Return the nearest coordinates within the ranges, with the azimuth's pair on the unit circle."""
         turn = nn.functional.normalize(coordinates[..., :2], dim=-1, eps=1e-6)
-        return torch.cat([turn, coordinates[..., 2:].clamp(-1, 1)], -1)
+        return torch.cat([turn, coordinates[..., 2:].clamp(-1, 1) * (self.reach > 0)], -1)

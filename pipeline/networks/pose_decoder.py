@@ -67,7 +67,7 @@ class PoseDecoder(nn.Module):
         return _parts(self.student(code))
 
     def known_error(self, code: Float[Tensor, "B K"], coordinates: Float[Tensor, "B 7"]) -> Float[Tensor, ""]:
-        """Return the errors of all heads and of the student, added up, where poses are known."""
+        """Return the mean error of the ensemble's heads plus that of the student, where poses are known."""
         return regression_error(self.ensemble(code), coordinates[:, None]) + regression_error(self(code), coordinates)
 
 

@@ -22,8 +22,8 @@ CIFAR10_SIZE = 32
 def turn_on_dataset(document: CommentedMap, name: str, contents: Contents | None, config: BaseShapeConfig) -> None:
     """Add a data set, or take other photographs for it; as large, and cut as, base shapes of the config need them.
 
-    Raises ConfigError for a new one without contents, for photographs that lack a category which is learned from it,
-    and for one whose pictures have another size or cut.
+    Raises ConfigError for a new one without contents, for one whose photographs are gone, for photographs that lack a
+    category which is learned from it, and for one whose pictures have another size or cut.
     """
     datasets = document["datasets"]
     is_new, entry = name not in datasets, dict(datasets.get(name, {}))
@@ -31,6 +31,8 @@ def turn_on_dataset(document: CommentedMap, name: str, contents: Contents | None
         entry |= {"kind": contents.kind, "source": str(contents.path)}
     elif is_new:
         raise ConfigError(f"no photographs of '{name}' yet; name their folder or archive with SOURCE=")
+    elif "source" in entry and not Path(entry["source"]).exists():
+        raise ConfigError(f"photographs of '{name}' are no longer at {entry['source']}; name them again with SOURCE=")
     if contents is not None and not is_new and entry != datasets[name]:
         _require_what_is_learned(document, name, entry, contents)
     kind, size = entry["kind"], config.renderer.size
@@ -76,7 +78,7 @@ def require_category(document: CommentedMap, dataset: str, category: str, conten
     if contents is None and (dataset, category) in on:
         return
     known = _categories(document, document["datasets"][dataset], contents)
-    require_known(category, known, f"'{dataset}' has no category")
+    require_known(category, known, f"CATEGORY: '{dataset}' has no category")
 
 
 def _categories(document: CommentedMap, entry: Mapping[str, Any], contents: Contents | None) -> Collection[str]:

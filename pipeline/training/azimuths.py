@@ -7,7 +7,8 @@ Paint says nothing about the azimuth. So features are measured in units of how m
 opposite azimuths are given photographs of the same mean colours. How many there are of an axis is what the votes say
 (horses show their sides); were it free, azimuths would gather in clusters from round to round. How many of them show
 the front is free within bounds: opposite azimuths have the same mean score, and neither gets less of their axis's
-probability than `smaller_end`, or one end might take all photographs.
+probability than `smaller_end`, or one end might take all photographs. Both means are those of an azimuth and of its
+mirror image together.
 
 Azimuths are bins of the circle: row i of `N azimuths` is a photograph's distribution over them.
 """
@@ -125,8 +126,8 @@ def balance(
     """Turn scores into probabilities that give axes their shares, and opposite azimuths the same mean colours.
 
     Each azimuth's score gets an affine function of the colours, found by Newton-like steps, after what makes its mean
-    differ from that of the opposite azimuth is taken off. Neither of two opposite azimuths keeps less than the part
-    `smaller_end` of their axis.
+    differ from that of the opposite azimuth is taken off. Both are averaged with those of the mirror image. Neither of
+    two opposite azimuths keeps less than the part `smaller_end` of their axis.
     """
     excess_of_mean = scores.mean(dim=0) - _opposite(scores.mean(dim=0))
     scores = scores - (excess_of_mean + mirrored(excess_of_mean)) / 4

@@ -38,7 +38,7 @@ def explore(
     poses, shapes = candidates(model, estimate, record, config, rng)
     losses = score(model, extractor, photographs, estimate, poses, shapes, config.map_weights)
     far = ~within_reach(poses, record.pose, config.azimuth_reach)
-    ranked = losses + _BEYOND_REACH * far
+    ranked = losses.double() + _BEYOND_REACH * far  # in float32 the large number would round their order away
     winner = ranked.argmin(dim=0)
     photograph = torch.arange(len(winner), device=winner.device)
     head = ranked[FIRST_HEAD : FIRST_HEAD + estimate.heads.end.shape[1]].argmin(dim=0)

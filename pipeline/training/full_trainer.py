@@ -221,14 +221,15 @@ class FullTrainer:
             self.turn_round(ends)
 
     def _record_told_ends(self, config: EndsConfig) -> Bool[Tensor, " N"]:
-        """Turn recorded poses of the first photographs that show the opposite ends; tell which are now sure."""
+        """Turn records of the first photographs, those visited, that show the opposite ends; tell which are sure."""
         images, poses, model = self.photographs.images[: config.photographs], self.record.pose, self.model
         read = read_poses(model, images)
         told = tell_ends(images, poses[: len(read)], read, model.poses, self.extractor, config, self.rng)
         agree([told])
         told = functional.pad(told, (0, len(poses) - len(told)))
+        told = told * (self.visits > 0)
         poses.copy_(torch.where(told[:, None] < 0, flipped(poses, 1)[0], poses))
-        return (told != 0) & (self.visits > 0)
+        return told != 0
 
     def _learn(self, index: Int[Tensor, " P"], poses: Float[Tensor, "N 7"]) -> None:
         learn_poses(self.model, self.photographs.images, index, poses[index], self.config.lessons, self.rng)

@@ -16,7 +16,7 @@ from pipeline.datasets.images import Images
 from pipeline.distributed import average, share, silent
 from pipeline.networks.full_model import FullModel
 from pipeline.ranges import Count, Momentum, Natural, Positive
-from pipeline.training.checkpoint import read_losses
+from pipeline.training.checkpoint import read_losses, require_finite
 from pipeline.training.optimization import adam, falling, set_learning_rate, take_step
 from pipeline.training.recording import Recorded
 
@@ -63,3 +63,4 @@ def learn_poses(
         set_learning_rate(falling(config.learning_rate, number, config.iterations, 0.5), optimizer)
         losses.append(step(photographs[index[rows]], poses[rows]))
     read_losses(losses, config.iterations - 1, "the lessons")
+    require_finite(model.state_dict(), config.iterations - 1, "the lessons")

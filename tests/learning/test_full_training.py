@@ -129,6 +129,15 @@ def test_ends_are_turned_as_told_and_elsewhere_as_read(monkeypatch: pytest.Monke
     torch.testing.assert_close(trainer.record.pose[:, 2:], before[:, 2:])
 
 
+def test_ends_of_photographs_without_a_visit_are_not_turned(monkeypatch: pytest.MonkeyPatch) -> None:
+    (images, _), extractor = photographs(12), tiny_extractor()
+    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
+    before = trainer.record.pose.clone()
+    monkeypatch.setattr("pipeline.training.full_trainer.tell_ends", lambda images, *_: -torch.ones(len(images)))
+    trainer.turn_round(EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 8))
+    assert torch.equal(trainer.record.pose, before)
+
+
 def test_ends_told_after_training_are_learned_in_the_last_lessons(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

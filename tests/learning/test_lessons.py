@@ -45,9 +45,12 @@ def test_mirror_images_teach_symmetric_objects_alone(monkeypatch: pytest.MonkeyP
     assert taught == [32, 16]
 
 
-def test_lessons_that_diverge_stop() -> None:
+@pytest.mark.parametrize(
+    ("iterations", "message"),
+    [(60, "the loss of the lessons became"), (1, "no longer finite after iteration 0 of the")],
+)
+def test_lessons_that_diverge_stop(iterations: int, message: str) -> None:
     images, coordinates = photographs(8)
-    with pytest.raises(TrainingDiverged, match="the loss of the lessons became"):
-        learn_poses(
-            tiny_model(), images, torch.arange(8), coordinates, replace(LESSONS, learning_rate=1e30), generator(0)
-        )
+    config = replace(LESSONS, iterations=iterations, learning_rate=1e39)
+    with pytest.raises(TrainingDiverged, match=message):
+        learn_poses(tiny_model(), images, torch.arange(8), coordinates, config, generator(0))

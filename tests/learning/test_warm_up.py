@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
+import pytest
 import torch
 
+from pipeline.errors import TrainingDiverged
 from pipeline.seeding import generator
 from pipeline.training.warm_up import draw_sample, warm_up
 from tests.tiny_full_model import TRAINING, tiny_model, tiny_scenes
@@ -26,6 +28,12 @@ def test_warm_up_teaches_where_objects_are_in_unseen_renderings() -> None:
     warm_up(model, scenes, config, generator(0))
     assert error_of_box() < 0.7 * before
     torch.testing.assert_close(model.shapes.base(), model.base_vertices)  # its own renderings cannot say it is wrong
+
+
+def test_a_last_step_that_breaks_the_weights_is_an_error() -> None:
+    config = replace(CONFIG, iterations=1, learning_rate=1e39)
+    with pytest.raises(TrainingDiverged, match="no longer finite after iteration 0 of the warm-up"):
+        warm_up(tiny_model(), tiny_scenes().generators[0], config, generator(0))
 
 
 def test_paint_changes_colors_alone() -> None:

@@ -1,5 +1,6 @@
 """The README says what is there: its rows, commands, links and figures."""
 
+import hashlib
 import io
 import os
 import re
@@ -14,7 +15,7 @@ from ruamel.yaml import YAML
 from pipeline.export.runs_page import MeasuredRun
 from pipeline.files import read_json, write_json
 from tests.project.import_closure import ROOT
-from tests.project.result_tables import PAGES, TABLES, Confusion, Table, render, with_tables
+from tests.project.result_tables import MARKED, PAGES, TABLES, Confusion, Table, render, with_tables
 
 README = (ROOT / "README.md").read_text()
 PARAMS = YAML(typ="safe").load(ROOT / "params.yaml")
@@ -25,7 +26,8 @@ MAKEFILE = (ROOT / "Makefile").read_text()
 def committed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Unpack pages and figures of the last commit, for runs of one's own change those in the working tree."""
     folder = tmp_path_factory.mktemp("committed")
-    words = ["git", "archive", "HEAD", "README.md", "docs", "results/metrics", "results/tables"]
+    words = ["git", "archive", "HEAD", "README.md", "data/README.md", "docs", "dvc.lock"]
+    words += [f"results/{part}" for part in ("metrics", "tables", "curves", "figures/base_shapes")]
     archive = subprocess.run(words, cwd=ROOT, check=True, stdout=subprocess.PIPE).stdout
     with tarfile.open(fileobj=io.BytesIO(archive)) as files:
         files.extractall(folder, filter="data")
@@ -49,7 +51,14 @@ def test_options_are_words_after_make_alone() -> None:
     environment = os.environ | {"SEED": "7", "CATEGORY": "plane", "BASELINE": "colmap"}
     words = ["make", "--dry-run", "--no-print-directory", "run", "ROW=toybox-car", "SEED=", "SIZE=paper"]
     made = subprocess.run(words, cwd=ROOT, env=environment, check=True, stdout=subprocess.PIPE, text=True).stdout
-    assert made.splitlines()[-1] == 'python -m stages.run_row --row "toybox-car" --size "paper"'
+    assert made.splitlines()[-1] == 'python -m stages.run_row --row "$ROW" --size "$SIZE"'
+
+
+def test_words_after_make_run_that_are_no_options_are_errors() -> None:
+    words = ["make", "--dry-run", "run", "ROW=toybox-car", "SORCE=pictures", "PYTHON=python3"]
+    made = subprocess.run(words, cwd=ROOT, stderr=subprocess.PIPE, text=True, check=False)
+    assert made.returncode == 2
+    assert "SORCE is no option of make run; expected: ROW SIZE SOURCE" in made.stderr
 
 
 def test_every_example_of_a_parameter_exists() -> None:
@@ -78,15 +87,25 @@ def anchors(page: Path) -> set[str]:
 def test_every_measured_run_is_shown(committed: Path) -> None:
     results = committed / "results"
     measured = {MeasuredRun(path.stem, None, {}).experiment for path in results.glob("metrics/*.json")}
-    tables = "".join(render(table, results) for table in TABLES.values())
+    shown = "".join(found[0] for page in PAGES for found in MARKED.finditer((committed / page).read_text()))
     assert measured
-    assert {name for name in measured if f"`{name}`" not in tables} == set()
+    assert {name for name in measured if f"| `{name}` |" not in shown} == set()
 
 
 def test_tables_are_those_of_the_files(committed: Path) -> None:
-    for page in (committed / "README.md", *committed.glob("docs/*.md")):
-        text = page.read_text()
-        assert text == with_tables(text, committed / "results"), f"run `make tables` and commit {page.name}"
+    for page in PAGES:
+        text = (committed / page).read_text()
+        assert text == with_tables(text, committed / "results"), f"run `make tables` and commit {page}"
+
+
+def test_the_lock_knows_the_files(committed: Path) -> None:
+    lock = YAML(typ="safe").load(committed / "dvc.lock")
+    known = {out["path"]: out for stage in lock["stages"].values() for out in stage["outs"] if "nfiles" not in out}
+    files = {path: out for path, out in known.items() if (committed / path).is_file()}
+    assert "results/metrics/toybox-car.json" in files
+    for path, out in files.items():
+        data = (committed / path).read_bytes()
+        assert hashlib.md5(data, usedforsecurity=False).hexdigest() == out["md5"], path
 
 
 def test_a_table_shows_the_mean_over_seeds(tmp_path: Path) -> None:

@@ -188,6 +188,7 @@ def test_colours_are_whitened_and_the_same_in_mirror_images() -> None:
     colors = mean_colors(pictures)
     assert colors.shape == (64, 9)
     assert (colors.mean(dim=0).abs() < 0.2).all()
+    assert (colors.T @ colors / len(colors) - torch.eye(9)).abs().max() < 0.1  # but for what is cut off at 3
     assert (mean_colors(pictures.flip(-1)).abs() - colors.abs()).abs().max() < 1e-2
 
 

@@ -60,6 +60,7 @@ wrong:
   full: {betas: [0.5, 1.0]}
   unordered: {rate: .nan}
   endless: {rate: .inf}
+  undefined: {limit: .nan}
   exponent: {rate: 1e-4}
   choice: {recipe: label}
   length: {betas: [0.5]}
@@ -113,6 +114,7 @@ def test_later_sections_replace_only_what_they_name(params: Path) -> None:
         ),
         ("wrong.unordered", ["'wrong.unordered.rate' is nan; expected a number", ", above 0"]),
         ("wrong.endless", ["'wrong.endless.rate' is inf; expected a number", ", above 0"]),
+        ("wrong.undefined", ["'wrong.undefined.limit' is nan; expected a number"]),
         ("wrong.exponent", ["'wrong.exponent.rate' is '1e-4'", "1.0e-4"]),
         ("wrong.choice", ["'wrong.choice.recipe' is 'label'", "one of 'labels', 'rotation'"]),
         ("wrong.length", ["'wrong.length.betas' is [0.5]", "a list of 2"]),

@@ -49,6 +49,15 @@ def test_rows_carry_n_and_standard_error() -> None:
     ]
 
 
+def test_lists_have_a_row_a_number() -> None:
+    figures = {"scores": [9.5, 8.0], "says": ["nothing"], "seeds": 2}
+    assert figure_rows(figures) == [
+        ("scores.0", 9.5, None, None),
+        ("scores.1", 8.0, None, None),
+        ("seeds", 2, None, None),
+    ]
+
+
 def test_text_has_one_line_a_figure() -> None:
     lines = format_figures(METRICS).splitlines()
     assert len(lines) == 4

@@ -135,6 +135,18 @@ def test_flipped_candidates_look_alike_from_outside() -> None:
     torch.testing.assert_close(poses[4:7, :, 2:], record.pose[:, 2:].expand(3, -1, -1))
 
 
+def test_heads_beyond_reach_are_ranked_by_their_distances(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, extractor = tiny_model(), tiny_extractor()
+    features = extractor(photographs(2)[0].float() / 255)
+    estimate, record = estimate_of(model, 2), first_record(model, 2, generator(0))
+    count = len(candidates(model, estimate, record, CONFIG, generator(1))[0])
+    falling = torch.linspace(1.001, 1, count)[:, None].expand(count, 2)
+    monkeypatch.setattr("pipeline.training.exploration.score", lambda *_: falling)
+    monkeypatch.setattr("pipeline.training.exploration.within_reach", lambda *_: torch.zeros(count, 2) > 0)
+    head = explore(model, extractor, features, estimate, record, CONFIG, generator(1)).head
+    assert head.tolist() == [estimate.heads.end.shape[1] - 1] * 2
+
+
 def distances(
     model: FullModel, extractor: FeatureExtractor, features: Features, estimate: Estimate, record: Record
 ) -> Tensor:

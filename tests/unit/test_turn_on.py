@@ -65,6 +65,18 @@ def test_the_release_of_pascal3d_is_known_by_its_annotations(params: Path, tmp_p
         assert YAML(typ="safe").load(params)["datasets"]["pascal3d"] == expected
 
 
+def test_photographs_that_were_moved_are_named_again(params: Path, tmp_path: Path) -> None:
+    here, there = write_folder(tmp_path / "here", tree()), tmp_path / "there"
+    cart = Options("cifar10-automobile", dataset="market", category="car")
+    turn_on(params, cart._replace(source=here))
+    here.rename(there)
+    before = params.read_bytes()
+    with pytest.raises(ConfigError, match=f"photographs of 'market' are no longer at {here}; name them again with"):
+        turn_on(params, cart._replace(seed=1))
+    assert params.read_bytes() == before
+    assert turn_on(params, cart._replace(seed=1, source=there)) == "market-car-seed1"
+
+
 def test_a_row_brings_its_dataset_features_and_run(params: Path, tmp_path: Path) -> None:
     archive, before = write_tar(tmp_path / "cifar10_jpeg.tar", tree()), params.read_text().splitlines()
     assert turn_on(params, Options("cifar10-horse", source=archive)) == "cifar10-horse"
@@ -252,14 +264,6 @@ def test_some_settings_of_a_toybox_may_be_its_own(params: Path) -> None:
     own = "\n  toybox:\n    toybox: {photograph: {supersampling: 4}}"
     params.write_text(params.read_text().replace("\n  toybox:", own, 1))
     assert turn_on(params, Options("toybox-car", seed=1)) == "toybox-car-seed1"
-
-
-def test_an_archive_of_cifar10_may_lie_elsewhere(params: Path, tmp_path: Path) -> None:
-    archive = tmp_path / "cifar-10-python.tar.gz"
-    archive.touch()
-    turn_on(params, Options("cifar10-automobile", source=archive))
-    archive.unlink()
-    assert turn_on(params, Options("cifar10-horse")) == "cifar10-horse"
 
 
 def test_the_official_archive_is_known_by_its_name(params: Path, tmp_path: Path) -> None:
