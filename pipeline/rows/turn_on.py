@@ -53,11 +53,11 @@ def turn_on(path: Path, options: Options) -> str:
     The name leaves out what is usual: laptop size, no ablation, seed 0, the row's own photographs. A run whose ablation
     leaves base shapes as they are shares the base shape of the run without ablation.
 
-    Raises ConfigError for a row, size or ablation that does not exist, for an ablation that would shorten the size's
-    training, for a size at which the baseline cannot draw, for names that are not plain, for a dataset whose source is
-    not known, that lacks this category or another that is learned from it, or whose pictures have another size, for
-    features whose weights are not known, and for a run, a base shape or features of that name that are on with other
-    settings.
+    Raises ConfigError for a row, size or ablation that does not exist, for a negative seed, for an ablation that would
+    shorten the size's training, for a size at which the baseline cannot draw, for names that are not plain, for a
+    dataset whose source is not known or gone, that lacks this category or another that is learned from it, or whose
+    pictures have another size, for features whose weights are not known, and for a run, a base shape or features of
+    that name that are on with other settings.
     """
     for section in (*SWITCHES, "rows", "sizes", "ablations"):
         scalar(path, section)
@@ -67,6 +67,8 @@ def turn_on(path: Path, options: Options) -> str:
         document[section] = document[section] or CommentedMap()  # after the only entry was removed
     for kind, name in (("rows", options.row), ("sizes", options.size), ("ablations", options.ablation)):
         require_known(name, document[kind], f"{path}: {kind} has no")
+    if options.seed < 0:
+        raise ConfigError(f"SEED is {options.seed}; expected 0 or a greater number")
     _require_no_shorter(document, options)
     sections = ("learn_base_shape", f"rows.{options.row}.learn_base_shape", f"sizes.{options.size}.learn_base_shape")
     config = load(path, BaseShapeConfig, sections)

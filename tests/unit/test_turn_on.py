@@ -293,6 +293,7 @@ def test_what_is_no_parameter_file_is_said(params: Path) -> None:
             Options("toybox-car", size="paper-imagenet", features=ROOT / "params.yaml", baseline="hologan"),
             "HoloGAN draws 32 px, but pictures of size 'paper-imagenet' have 128 px; choose another SIZE=",
         ),
+        (Options("toybox-car", seed=-1), "SEED is -1; expected 0 or a greater number"),
         (Options("pascal-chair"), "no photographs of 'pascal3d' yet"),
         (Options("cifar10-horse", source=Path("nowhere.tar")), "SOURCE=nowhere.tar does not exist"),
         (Options("toybox-car", seed=1, size="paper", features=Path("no.npz")), "FEATURES=no.npz does not exist"),
