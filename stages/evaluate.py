@@ -44,10 +44,8 @@ def main() -> None:
     training, test = (load_true_split(arguments.truth, split, arguments.category) for split in ("train", "test"))
     if test is not None and training is not None:
         (model, _), (mesh, _) = load_tensors(arguments.model), load_tensors(arguments.mesh)
-        visited = model["train_visits"].nonzero().flatten()
-        learned = chain_result(reconstructions, full_model, model["train_pose"][visited], mesh)
-        splits = select(training, visited), select(test, reconstructions.test_index)
-        compared, columns = evaluate_truth(learned, *splits, config)
+        learned = chain_result(reconstructions, full_model, model, mesh)
+        compared, columns = evaluate_truth(learned, training, select(test, reconstructions.test_index), config)
         figures, table = figures | compared, table | columns
     write_json(arguments.out, figures)
     write_table(arguments.table, table)

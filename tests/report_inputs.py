@@ -20,30 +20,58 @@ def figure(value: float) -> dict[str, float]:
     return {"value": value, "n": COUNT, "standard_error": 0.1}
 
 
+def picture_figures(distance: float, psnr: float, ssim: float) -> dict[str, dict[str, float]]:
+    return {"feature_distance": figure(distance), "psnr": figure(psnr), "ssim": figure(ssim)}
+
+
+def pose_figures(accuracy: float, median: float) -> dict:
+    return {"acc_pi6": accuracy, "n": COUNT, "standard_error": 0.2, "median_error_degrees": figure(median)}
+
+
 def inputs(truth: bool) -> ReportInputs:
-    """Four photographs whose objects are ellipsoids, orange in front and blue behind."""
+    """Four photographs whose objects are ellipsoids, orange in front and blue behind.
+
+    Every figure differs before and after fine-tuning; the last object is then seen from 30 degrees, others from ahead.
+    """
     sphere, faces = icosphere(2)
     directions = sphere.float()
     zeros = torch.zeros(COUNT)
-    pose = Pose(zeros, zeros, zeros, torch.zeros(COUNT, 2), zeros + 1)
+    ahead = Pose(zeros, zeros, zeros, torch.zeros(COUNT, 2), zeros + 1)
+    turned = ahead._replace(azimuth=torch.tensor([0.0, 0, 0, 30]).deg2rad())
     base = directions * DIMENSIONS / 2
     vertices = base.expand(COUNT, -1, -1)
-    found = Snapshot(pose, vertices, *[torch.full((COUNT, 3, 16, 16), 0.5)] * 2)
-    columns = {"feature_distance": figure(0.5), "psnr": figure(20), "ssim": figure(0.5)}
+    predicted = Snapshot(ahead, vertices, *[torch.full((COUNT, 3, 16, 16), 0.25)] * 2)
+    tuned = Snapshot(turned, vertices, *[torch.full((COUNT, 3, 16, 16), 0.5)] * 2)
     figures: dict = {
-        "reconstruction": dict.fromkeys(("predicted", "tuned", "retrieved"), columns) | {"improved": figure(0.75)}
+        "reconstruction": {
+            "predicted": picture_figures(0.5, 20, 0.5),
+            "tuned": picture_figures(0.4, 22, 0.6),
+            "retrieved": picture_figures(0.7, 15, 0.3),
+            "improved": figure(0.75),
+        }
     }
-    table = {f"feature_distance_{stage}": ["4", "1", "3", "2"] for stage in ("predicted", "tuned")}
-    table["test_index"] = ["7", "8", "9", "10"]
+    table = {
+        "test_index": ["7", "8", "9", "10"],
+        "feature_distance_predicted": ["8", "6", "7", "5"],
+        "feature_distance_tuned": ["4", "1", "3", "2"],
+    }
     if truth:
-        row = {"acc_pi6": 0.5, "n": COUNT, "standard_error": 0.2, "median_error_degrees": figure(20)}
         figures["alignment"] = {"degrees": 90.0, "n": 10}
-        figures["pose"] = {"test": row | {"flipped": figure(0.25)}, "chance": row, "constant": row}
-        ious = {"voxel_iou": figure(0.6), "mask_iou": figure(0.7)}
-        base_shapes = {name: {"voxel_iou": figure(0.6)} for name in ("base", "final_base")}
-        figures["shape"] = {"test": ious, **base_shapes, "constant": ious}
+        figures["pose"] = {
+            "test": pose_figures(0.5, 20) | {"flipped": figure(0.25)},
+            "test_tuned": pose_figures(0.75, 10) | {"flipped": figure(0.2)},
+            "chance": pose_figures(0.15, 90),
+            "constant": pose_figures(0.3, 60),
+        }
+        figures["shape"] = {
+            "test": {"voxel_iou": figure(0.6), "mask_iou": figure(0.7)},
+            "test_tuned": {"voxel_iou": figure(0.65), "mask_iou": figure(0.75)},
+            "base": {"voxel_iou": figure(0.5)},
+            "final_base": {"voxel_iou": figure(0.55)},
+            "constant": {"voxel_iou": figure(0.4), "mask_iou": figure(0.45)},
+        }
         table |= {"truth_azimuth": ["0", "90", "180", "270"], "azimuth_predicted": ["0", "-90", "170", "0"]}
-        table |= {f"rotation_error_{stage}": ["0", "180", "10", "90"] for stage in ("predicted", "tuned")}
+        table |= {"rotation_error_predicted": ["0", "180", "10", "90"], "rotation_error_tuned": ["0", "5", "10", "15"]}
         table["error_mode_predicted"] = ["correct", "flipped", "correct", "other"]
     photographs = torch.tensor([1.0, 0, 1])[:, None, None].expand(COUNT, 3, 16, 16)
     front = ((torch.arange(16) + 0.5) / 16 - 0.5).abs() < 0.25
@@ -53,7 +81,7 @@ def inputs(truth: bool) -> ReportInputs:
         run="toy<car>",
         photographs=photographs,
         drawn=False,
-        reconstructions=Reconstructions(found, found, textures, faces, directions, torch.arange(7, 11)),
+        reconstructions=Reconstructions(predicted, tuned, textures, faces, directions, torch.arange(7, 11)),
         seeds=torch.stack([directions / 2, base]),
         seed_faces=faces,
         seed_scores=torch.tensor([0.5, 0.25]),

@@ -51,7 +51,8 @@ class ChainResult(NamedTuple):
     """What the chain learned, all in the learned frame.
 
     Attributes:
-        training_pose: recorded best poses of the training pictures whose truth is given.
+        training_pose: recorded best poses of the training pictures that were visited.
+        training_index: position of each of these pictures in the training split.
         base: base shape after remeshing, with its faces.
         final_base: base shape after full training, in which it may go on learning, with the faces of the
             reconstructions; None in single-stage training, which has none.
@@ -60,6 +61,7 @@ class ChainResult(NamedTuple):
 
     reconstructions: Reconstructions
     training_pose: Pose
+    training_index: Int[Tensor, " N"]
     base: Float[Tensor, "V 3"]
     final_base: Float[Tensor, "V 3"] | None
     base_faces: Int[Tensor, "F 3"]
@@ -97,13 +99,14 @@ def evaluate_images(
 def chain_result(
     reconstructions: Reconstructions,
     model: FullModel,
-    training_pose: Float[Tensor, "N 6"],
+    trained: Mapping[str, Tensor],
     mesh: Mapping[str, Tensor],
 ) -> ChainResult:
-    """Collect what the chain learned from the tensors of its artifacts."""
+    """Collect what the chain learned from the tensors of its artifacts: `trained` the full model, `mesh` remeshed."""
     base = model.shapes.base().detach() if model.config.two_stage else None
-    pose, renderer = pose_from_tensor(training_pose), model.config.renderer
-    return ChainResult(reconstructions, pose, mesh["vertices"], base, mesh["faces"], renderer)
+    visited = trained["train_visits"].nonzero().flatten()
+    pose = pose_from_tensor(trained["train_pose"][visited])
+    return ChainResult(reconstructions, pose, visited, mesh["vertices"], base, mesh["faces"], model.config.renderer)
 
 
 def evaluate_truth(
@@ -111,11 +114,12 @@ def evaluate_truth(
 ) -> tuple[dict[str, Any], Columns]:
     """Measure viewpoints, and shapes where they are known; return the figures and one row a picture.
 
-    The learned frame is first turned about +y by the angle that suits the training split's recorded poses best.
+    `training` is the whole training split: what is typical of it does not depend on which pictures the run visited. The
+    learned frame is first turned about +y by the angle that suits the recorded poses of those that it did visit best.
     """
-    angle = fit_alignment(training.pose, learned.training_pose)
+    angle = fit_alignment(training.pose.at(learned.training_index), learned.training_pose)
     pose, pose_table = _evaluate_pose(learned, training, test, angle, config)
-    alignment = {"degrees": math.degrees(angle), "n": len(training.pose.azimuth)}
+    alignment = {"degrees": math.degrees(angle), "n": len(learned.training_index)}
     truth = {"truth_azimuth": torch.rad2deg(test.pose.azimuth), "truth_elevation": torch.rad2deg(test.pose.elevation)}
     figures, table = {"alignment": alignment, "pose": pose}, {**truth, **pose_table}
     if training.objects is not None and test.objects is not None:
@@ -129,7 +133,8 @@ def _evaluate_pose(
 ) -> tuple[dict[str, Any], Columns]:
     rng = generator(config.seed, "evaluate pose")
     figures: dict[str, Any] = baseline_figures(test.pose, training.pose, config.chance_draws, rng)
-    figures["train"] = pose_figures(training.pose, turn_pose(learned.training_pose, angle), rng)
+    visited = training.pose.at(learned.training_index)
+    figures["train"] = pose_figures(visited, turn_pose(learned.training_pose, angle), rng)
     columns = {}
     for stage, split in SPLITS.items():
         estimate = turn_pose(getattr(learned.reconstructions, stage).pose, angle)

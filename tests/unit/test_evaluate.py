@@ -1,21 +1,27 @@
 import math
+from dataclasses import replace
 
 import pytest
 import torch
+from torch import Tensor
 
 from pipeline.evaluation.alignment import turn_pose, turn_vertices
 from pipeline.evaluation.artifacts import Reconstructions, Snapshot, TrueObjects, Truth
-from pipeline.evaluation.evaluate import ChainResult, EvaluateConfig, evaluate_images, evaluate_truth
+from pipeline.evaluation.evaluate import ChainResult, EvaluateConfig, chain_result, evaluate_images, evaluate_truth
 from pipeline.evaluation.multiview import MultiviewConfig
+from pipeline.evaluation.shape import iou
 from pipeline.evaluation.shape_metrics import ShapeMetricsConfig, silhouettes
-from pipeline.geometry.camera import CameraConfig, Pose
+from pipeline.geometry.camera import CameraConfig, Pose, pose_to_tensor
 from pipeline.geometry.icosphere import icosphere
+from pipeline.geometry.voxels import voxelize
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.wide_resnet import WideResNet
 from pipeline.rendering.renderer import RendererConfig
 from pipeline.seeding import generator, initialised
+from tests.tiny_full_model import tiny_model
 
-COUNT = 12
+COUNT, TRAINING_COUNT = 12, 20
+VISITED = torch.arange(8, TRAINING_COUNT)
 RENDERER = RendererConfig(camera=CameraConfig(distance=2.7, field_of_view=30.0), size=16, supersampling=2)
 CONFIG = EvaluateConfig(
     seed=0,
@@ -27,34 +33,48 @@ CONFIG = EvaluateConfig(
 FRAME = math.radians(90)
 
 
-def random_pose(count: int, seed: int) -> Pose:
-    unit = torch.rand(2, count, generator=torch.Generator().manual_seed(seed))
-    zeros = torch.zeros(count)
-    return Pose(unit[0] * 2 * math.pi, unit[1] * 0.5, zeros, torch.zeros(count, 2), zeros + 0.8)
+def seen_from(azimuth: Tensor, seed: int) -> Pose:
+    """Return poses within a few degrees of these azimuths in degrees."""
+    noise = torch.rand(2, len(azimuth), generator=torch.Generator().manual_seed(seed)) * 0.2 - 0.1
+    zeros = torch.zeros(len(azimuth))
+    return Pose(azimuth.deg2rad() + noise[0], 0.2 + noise[1], zeros, torch.zeros(len(azimuth), 2), zeros + 0.8)
 
 
-def ellipsoids(count: int) -> torch.Tensor:
-    wider = torch.linspace(-0.05, 0.05, count)
-    higher = 20 * wider.square() - 0.02
-    sizes = torch.tensor([0.5, 0.4, 1.0]) + torch.stack([wider, higher, torch.zeros(count)], 1)
+def ellipsoids(sizes: Tensor) -> Tensor:
     return icosphere(2)[0].float() / 2 * sizes[:, None]
 
 
-def reconstruction(pose: Pose, vertices: torch.Tensor, shade: float) -> Snapshot:
-    images = torch.full((COUNT, 3, 16, 16), shade)
+def reconstruction(pose: Pose, vertices: Tensor, shade: float) -> Snapshot:
+    images = torch.full((len(vertices), 3, 16, 16), shade)
     return Snapshot(pose, vertices, torch.zeros_like(images), images)
 
 
 @pytest.fixture(scope="module")
 def truth() -> Truth:
-    vertices, (directions, faces) = ellipsoids(COUNT), icosphere(2)
-    pose = random_pose(COUNT, 0)
+    """Show long ellipsoids, most of them from a side and a quarter from the front."""
+    wider = torch.linspace(-0.05, 0.05, COUNT)
+    sizes = torch.stack([0.5 + wider, 0.38 + 20 * wider.square(), torch.ones(COUNT)], dim=1)
+    vertices, (directions, faces) = ellipsoids(sizes), icosphere(2)
+    pose = seen_from(torch.where(torch.arange(COUNT) % 4 == 0, 10.0, 100.0), 0)
     masks = silhouettes(reconstruction(pose, vertices, 0), faces, directions.float(), RENDERER)
     return Truth(pose, TrueObjects(masks, vertices, faces))
 
 
 @pytest.fixture(scope="module")
-def learned(truth: Truth) -> ChainResult:
+def training() -> Truth:
+    """Show flat ellipsoids from the front in the left half of pictures, and fewer high ones from behind on top.
+
+    Only four of the flat ones are visited during training, but all of the others.
+    """
+    flat = torch.arange(TRAINING_COUNT) < 12
+    vertices = ellipsoids(torch.where(flat[:, None], torch.tensor([1.0, 0.4, 0.8]), torch.tensor([0.4, 1.0, 0.4])))
+    masks = torch.zeros(TRAINING_COUNT, 16, 16, dtype=torch.bool)
+    masks[flat, :, :8], masks[~flat, :8] = True, True
+    return Truth(seen_from(torch.where(flat, 0.0, 180.0), 1), TrueObjects(masks, vertices, icosphere(2)[1]))
+
+
+@pytest.fixture(scope="module")
+def learned(training: Truth, truth: Truth) -> ChainResult:
     """Give the right answers in a frame turned by 90 degrees; before fine-tuning a third of the poses are flipped."""
     directions, faces = icosphere(2)
     assert truth.objects is not None
@@ -68,16 +88,18 @@ def learned(truth: Truth) -> ChainResult:
         directions.float(),
         torch.arange(COUNT),
     )
-    base = vertices[COUNT // 2]
-    return ChainResult(reconstructions, pose, base, vertices[0], faces, RENDERER)
+    recorded = turn_pose(training.pose.at(VISITED), -FRAME)
+    return ChainResult(reconstructions, recorded, VISITED, vertices[COUNT // 2], vertices[0], faces, RENDERER)
 
 
-def test_right_answers_in_a_turned_frame_score_full_marks(learned: ChainResult, truth: Truth) -> None:
-    figures, table = evaluate_truth(learned, truth, truth, CONFIG)
+def test_right_answers_in_a_turned_frame_score_full_marks(learned: ChainResult, training: Truth, truth: Truth) -> None:
+    figures, table = evaluate_truth(learned, training, truth, CONFIG)
     assert math.isclose(figures["alignment"]["degrees"], 90)
     assert figures["pose"]["train"]["acc_pi6"] == figures["pose"]["test_tuned"]["acc_pi6"] == 1
     assert math.isclose(figures["pose"]["test"]["acc_pi6"], 2 / 3)
     assert math.isclose(figures["pose"]["test"]["flipped"]["value"], 1 / 3)
+    assert math.isclose(figures["pose"]["test"]["seen_side"]["value"], 2 / 3)
+    assert figures["pose"]["test"]["front_or_side"]["value"] == 1
     assert figures["shape"]["test_tuned"]["voxel_iou"]["value"] > 0.99
     assert figures["shape"]["test_tuned"]["mask_iou"]["value"] == 1
     assert figures["shape"]["test_tuned"]["chamfer_l1"]["value"] < 0.03
@@ -88,39 +110,93 @@ def test_right_answers_in_a_turned_frame_score_full_marks(learned: ChainResult, 
     assert table["rotation_error_predicted"].sort().values[-4:].tolist() == pytest.approx([180] * 4, abs=1e-3)
 
 
-def test_a_final_base_has_the_faces_of_the_reconstructions(learned: ChainResult, truth: Truth) -> None:
+def test_the_training_split_alone_tells_the_turn(learned: ChainResult, training: Truth, truth: Truth) -> None:
+    further = learned._replace(training_pose=turn_pose(learned.training_pose, math.radians(20)))
+    figures = evaluate_truth(further, training, truth, CONFIG)[0]
+    assert math.isclose(figures["alignment"]["degrees"], 70)
+    assert figures["alignment"]["n"] == figures["pose"]["train"]["n"] == len(VISITED)
+    assert figures["pose"]["train"]["median_error_degrees"]["value"] == pytest.approx(0, abs=1e-3)
+    assert figures["pose"]["test_tuned"]["median_error_degrees"]["value"] == pytest.approx(20, abs=1e-3)
+
+
+def test_constants_are_those_of_the_whole_training_split(learned: ChainResult, training: Truth, truth: Truth) -> None:
+    figures = evaluate_truth(learned, training, truth, CONFIG)[0]
+    assert training.objects is not None
+    assert truth.objects is not None
+    assert figures["pose"]["constant"]["acc_pi6"] == 0.25
+    flat = voxelize(training.objects.vertices[:1], icosphere(2)[1], 16)
+    true = voxelize(truth.objects.vertices, icosphere(2)[1], 16)
+    constant, overlaps = figures["shape"]["constant"], iou(flat.expand_as(true), true)
+    assert constant["voxel_iou"]["value"] == pytest.approx(overlaps.mean().item())
+    mask = training.objects.masks[:1].expand_as(truth.objects.masks)
+    assert constant["mask_iou"]["value"] == pytest.approx(iou(mask, truth.objects.masks).mean().item())
+    base = overlaps[COUNT // 2].item()
+    assert figures["shape"]["base"]["mean_shape_iou"] == pytest.approx(base, abs=0.01)
+
+
+def test_what_a_run_visited_moves_no_baseline(learned: ChainResult, training: Truth, truth: Truth) -> None:
+    thorough = learned._replace(
+        training_index=torch.arange(TRAINING_COUNT), training_pose=turn_pose(training.pose, -FRAME)
+    )
+    some, whole = (evaluate_truth(result, training, truth, CONFIG)[0] for result in (learned, thorough))
+    assert some["pose"]["train"]["n"] < whole["pose"]["train"]["n"]
+    assert all(some["pose"][name] == whole["pose"][name] for name in ("chance", "constant"))
+    assert all(some["shape"][name] == whole["shape"][name] for name in ("constant", "base", "final_base"))
+
+
+def test_poses_of_the_photographs_that_were_visited_are_compared(learned: ChainResult, training: Truth) -> None:
+    trained = {"train_visits": torch.zeros(TRAINING_COUNT).long(), "train_pose": pose_to_tensor(training.pose)}
+    trained["train_visits"][VISITED] = 3
+    mesh = {"vertices": learned.base, "faces": learned.base_faces}
+    result = chain_result(learned.reconstructions, tiny_model(), trained, mesh)
+    assert torch.equal(result.training_index, VISITED)
+    assert torch.equal(result.training_pose.azimuth, training.pose.azimuth[VISITED])
+
+
+def test_masks_are_as_large_as_the_objects(learned: ChainResult) -> None:
+    found = learned.reconstructions
+    coarse, fine = (
+        silhouettes(found.tuned, found.faces, found.directions, replace(RENDERER, size=size)).float().mean().item()
+        for size in (16, 256)
+    )
+    assert coarse == pytest.approx(fine, rel=0.04)
+
+
+def test_a_final_base_has_the_faces_of_the_reconstructions(learned: ChainResult, training: Truth, truth: Truth) -> None:
     finer, faces = icosphere(3)
     base_of_other_faces = learned._replace(base=finer.float() / 2, base_faces=faces)
-    shapes = evaluate_truth(base_of_other_faces, truth, truth, CONFIG)[0]["shape"]
-    assert shapes["final_base"] == evaluate_truth(learned, truth, truth, CONFIG)[0]["shape"]["final_base"] | {
+    shapes = evaluate_truth(base_of_other_faces, training, truth, CONFIG)[0]["shape"]
+    assert shapes["final_base"] == evaluate_truth(learned, training, truth, CONFIG)[0]["shape"]["final_base"] | {
         "chamfer_l1": shapes["final_base"]["chamfer_l1"]
     }
 
 
-def test_single_stage_training_has_no_final_base(learned: ChainResult, truth: Truth) -> None:
-    shapes = evaluate_truth(learned._replace(final_base=None), truth, truth, CONFIG)[0]["shape"]
+def test_single_stage_training_has_no_final_base(learned: ChainResult, training: Truth, truth: Truth) -> None:
+    shapes = evaluate_truth(learned._replace(final_base=None), training, truth, CONFIG)[0]["shape"]
     assert "base" in shapes
     assert "final_base" not in shapes
 
 
-def test_viewpoints_alone_are_measured_alike(learned: ChainResult, truth: Truth) -> None:
-    figures, table = evaluate_truth(learned, truth, truth, CONFIG)
-    viewpoints = truth._replace(objects=None)
-    figures_of_viewpoints, table_of_viewpoints = evaluate_truth(learned, viewpoints, viewpoints, CONFIG)
+def test_viewpoints_alone_are_measured_alike(learned: ChainResult, training: Truth, truth: Truth) -> None:
+    figures, table = evaluate_truth(learned, training, truth, CONFIG)
+    known, asked = (split._replace(objects=None) for split in (training, truth))
+    figures_of_viewpoints, table_of_viewpoints = evaluate_truth(learned, known, asked, CONFIG)
     assert figures_of_viewpoints == {name: figures[name] for name in ("alignment", "pose")}
     assert "rotation_error_predicted" in table_of_viewpoints
     assert "voxel_iou_predicted" in table.keys() - table_of_viewpoints.keys()
 
 
-def test_every_figure_has_n_and_standard_error(learned: ChainResult, truth: Truth) -> None:
-    figures, table = evaluate_truth(learned, truth, truth, CONFIG)
+def test_every_figure_has_n_and_standard_error(learned: ChainResult, training: Truth, truth: Truth) -> None:
+    figures, table = evaluate_truth(learned, training, truth, CONFIG)
+    visited = figures["pose"].pop("train")
     for rows in (figures["pose"].values(), figures["shape"]["test"].values(), [figures["shape"]["base"]["voxel_iou"]]):
         assert all(row["n"] == COUNT and row["standard_error"] >= 0 for row in rows)
+    assert visited["n"] == len(VISITED)
     assert all(len(column) == COUNT for column in table.values())
 
 
-def test_same_seed_gives_the_same_figures(learned: ChainResult, truth: Truth) -> None:
-    assert evaluate_truth(learned, truth, truth, CONFIG)[0] == evaluate_truth(learned, truth, truth, CONFIG)[0]
+def test_same_seed_gives_the_same_figures(learned: ChainResult, training: Truth, truth: Truth) -> None:
+    assert evaluate_truth(learned, training, truth, CONFIG)[0] == evaluate_truth(learned, training, truth, CONFIG)[0]
 
 
 def test_reconstruction_nearer_to_the_photograph_counts_as_improved(learned: ChainResult) -> None:

@@ -1,5 +1,6 @@
 import math
 
+import pytest
 import torch
 
 from pipeline.evaluation.alignment import chance_errors, fit_alignment, fit_constant, turn_pose, turn_vertices
@@ -101,6 +102,13 @@ def test_alignment_recovers_the_turn_of_the_learned_frame() -> None:
     assert math.degrees(fit_alignment(truth, estimate)) % 360 == 137
 
 
+def test_alignment_is_not_drawn_away_from_a_clear_peak_by_a_second_one() -> None:
+    truth = random_pose(200, 3)
+    wrong = torch.where(torch.arange(200) % 5 < 2, math.radians(60), 0)
+    estimate = turn_pose(truth._replace(azimuth=truth.azimuth + wrong), math.radians(-137))
+    assert math.degrees(fit_alignment(truth, estimate)) == pytest.approx(137)
+
+
 def test_turned_vertices_seen_from_turned_pose_look_the_same() -> None:
     vertices = torch.rand(4, 10, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) - 0.5
     learned, camera = random_pose(4, 4), CameraConfig(distance=3.0, field_of_view=30.0)
@@ -124,6 +132,13 @@ def test_chance_is_a_sixth_of_the_circle_when_only_azimuth_is_free() -> None:
     )
 
 
+@pytest.mark.parametrize(("elevation", "roll"), [(40, 0), (0, 40)])
+def test_chance_knows_no_elevation_and_no_roll_but_those_of_training(elevation: float, roll: float) -> None:
+    truth, training = pose(degrees(*range(0, 360, 10)), elevation, roll), pose(degrees(0))
+    errors = chance_errors(truth, training, 72, torch.Generator().manual_seed(0))
+    assert errors.min() > math.radians(39.9)
+
+
 def test_figures_of_ten_estimates() -> None:
     truth = pose(degrees(*range(0, 100, 10)))
     estimate = truth._replace(azimuth=truth.azimuth + degrees(0, 0, 0, 0, 0, 0, 10, 20, 180, 180))
@@ -141,8 +156,14 @@ def test_columns_are_in_degrees_around_zero() -> None:
     torch.testing.assert_close(columns["elevation"], torch.tensor([5.0], dtype=torch.float64))
 
 
+def test_constant_row_is_right_where_training_has_its_one_view() -> None:
+    truth, training = pose(degrees(*[10] * 3, *[100] * 9)), pose(degrees(*[0] * 20))
+    rows = baseline_figures(truth, training, 72, torch.Generator().manual_seed(0))
+    assert rows["constant"]["acc_pi6"] == 0.25
+
+
 def test_constant_row_beats_chance_where_views_are_biased() -> None:
-    azimuth = random_pose(300, 6).azimuth * 0.2
-    rows = baseline_figures(pose(azimuth), pose(azimuth), 72, torch.Generator().manual_seed(0))
+    truth, training = (pose(random_pose(300, seed).azimuth * 0.2) for seed in (6, 7))
+    rows = baseline_figures(truth, training, 72, torch.Generator().manual_seed(0))
     assert rows["constant"]["acc_pi6"] > 0.75 > 0.25 > rows["chance"]["acc_pi6"]
     assert rows["chance"]["n"] == rows["constant"]["n"] == 300

@@ -1,3 +1,5 @@
+import json
+import struct
 from collections.abc import Callable
 from pathlib import Path
 
@@ -103,6 +105,31 @@ def test_another_reader_sees_the_same_mesh_and_the_texture_right_side_up(
     assert loaded.is_watertight
     assert loaded.is_winding_consistent
     assert loaded.volume > 0
+
+
+@pytest.mark.parametrize("name", ["shape.obj", "shape.glb"])
+def test_another_reader_sees_normals_that_point_outward(name: str, tmp_path: Path) -> None:
+    directions, faces = icosphere(2)
+    mesh = unwrap(directions * torch.tensor([0.3, 0.2, 0.5]), faces, directions, SIZE)
+    write_obj(tmp_path / "shape.obj", mesh, smooth_texture())
+    write_glb(tmp_path / "shape.glb", mesh, smooth_texture())
+    (loaded,) = trimesh.load_scene(tmp_path / name, process=False).geometry.values()
+    assert isinstance(loaded, trimesh.Trimesh)
+    assert (loaded.vertex_normals[loaded.faces] * loaded.face_normals[:, None]).sum(axis=2).min() > 0
+
+
+def test_textures_repeat_to_the_sides_alone_and_are_unlit(tmp_path: Path) -> None:
+    mesh = unwrap(*deformed_sphere("dented", 2), SIZE)
+    write_glb(tmp_path / "shape.glb", mesh, smooth_texture())
+    write_obj(tmp_path / "shape.obj", mesh, smooth_texture())
+    content = (tmp_path / "shape.glb").read_bytes()
+    (length,) = struct.unpack_from("<I", content, 12)
+    document = json.loads(content[20 : 20 + length])
+    (sampler,), (material,) = document["samplers"], document["materials"]
+    repeat, clamp_to_edge = 10497, 33071
+    assert (sampler["wrapS"], sampler["wrapT"]) == (repeat, clamp_to_edge)
+    assert "KHR_materials_unlit" in material["extensions"].keys() & set(document["extensionsUsed"])
+    assert "illum 0" in (tmp_path / "shape.mtl").read_text().splitlines()
 
 
 def test_files_are_the_same_every_time_and_name_each_other(tmp_path: Path) -> None:

@@ -41,6 +41,8 @@ def test_objects_that_turn_as_commanded_get_full_marks(views: Tensor) -> None:
     assert figures["acc_pi6"] == 1
     assert figures["error_degrees"]["value"] < 5
     assert figures["identity_drift"]["value"] < 0.2
+    stiffer = multiview_figures(views, tiny_extractor(), replace(CONFIG, ridge=10.0), 50)
+    assert stiffer["error_degrees"]["value"] > 1.3 * figures["error_degrees"]["value"]
     assert figures["n"] == figures["identity_drift"]["n"] == COUNT
     assert figures["chance"]["identity_drift"]["value"] == pytest.approx(1, abs=0.1)
     assert figures["chance"]["acc_pi6"] == pytest.approx(1 / 6)
@@ -73,6 +75,20 @@ def test_halves_of_the_objects_read_each_other() -> None:
     assert azimuth_figures(azimuths, read_azimuths(hidden, azimuths, 0.1))["acc_pi6"] < 0.5
 
 
+def test_azimuths_are_read_by_ridge_regression() -> None:
+    azimuths = CONFIG.azimuths().expand(COUNT, -1)
+    features = torch.randn(COUNT, azimuths.shape[1], 6, generator=generator(0)).double()
+    known = features[0::2].flatten(0, 1)
+    spread, middle = torch.std_mean(known, dim=0)
+    known, asked = (known - middle) / spread, (features[1::2].flatten(0, 1) - middle) / spread
+    turns = azimuths[0::2].flatten().double()
+    strength = 0.1 * known.square().sum(dim=1).mean()
+    moments = known.T @ known + strength * torch.eye(6)
+    sine, cosine = (asked @ torch.linalg.solve(moments, known.T @ torch.stack([turns.sin(), turns.cos()], 1))).unbind(1)
+    read = read_azimuths(features, azimuths, 0.1)[1::2].flatten()
+    torch.testing.assert_close(read, torch.atan2(sine, cosine).float())
+
+
 def test_errors_know_that_angles_close_the_circle() -> None:
     azimuths = torch.tensor([[0.0, math.radians(350)]]).expand(2, 2)
     read = torch.tensor([[math.radians(355), math.radians(-15)], [math.pi, math.radians(30)]])
@@ -86,6 +102,17 @@ def _reconstructions(model: FullModel) -> Reconstructions:
     mesh, shades = base_mesh(), torch.linspace(0.2, 0.8, 3)[:, None, None, None]
     one = Snapshot(pose, mesh.vertices.expand(3, -1, -1), torch.zeros(3, 3, 32, 32), torch.zeros(3, 3, 32, 32))
     return Reconstructions(one, one, shades.expand(-1, 3, 8, 8), mesh.faces, mesh.directions, torch.arange(3))
+
+
+def test_views_from_above_show_the_upper_side() -> None:
+    model = tiny_model().eval()
+    found = _reconstructions(model)
+    upper = torch.cat([torch.ones(3, 3, 4, 8), torch.zeros(3, 3, 4, 8)], dim=2)
+    above, below = (
+        render_views(found._replace(textures=upper), model, replace(CONFIG, elevation=elevation)).mean()
+        for elevation in (50.0, -50.0)
+    )
+    assert above > 2 * below
 
 
 def _aspect(covered: Tensor) -> float:

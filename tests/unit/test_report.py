@@ -15,7 +15,7 @@ from PIL import Image
 from pipeline.errors import DataError
 from pipeline.export.picture import GAP, NAME_HEIGHT, data_uri, encode_png, enlarge, sheet
 from pipeline.export.report import choose_examples, write_report
-from pipeline.export.report_metrics import headline
+from pipeline.export.report_metrics import azimuth_chart, headline, pose_table, shape_table
 from pipeline.export.report_pictures import Gallery
 from pipeline.export.viewer import three_js
 from pipeline.export.views import on_white, render_clay, render_textured
@@ -81,6 +81,73 @@ def test_viewer_holds_every_mesh_as_it_is_exported(tmp_path: Path) -> None:
     (tmp_path / "base.glb").write_bytes(base64.b64decode(meshes["base"]))
     loaded = trimesh.load_mesh(tmp_path / "base.glb", process=False)
     torch.testing.assert_close(torch.tensor(loaded.extents).float(), DIMENSIONS, atol=0.01, rtol=0)
+
+
+def test_viewer_starts_from_the_fine_tuned_viewpoints(tmp_path: Path) -> None:
+    write_report(inputs(truth=False), CONFIG, tmp_path / "page", tmp_path / "figures")
+    text = (tmp_path / "page/index.html").read_text()
+    azimuths = dict(re.findall(r'value="([\w-]+)" [^>]*data-azimuth="([^"]+)"', text))
+    assert (azimuths["best-1"], azimuths["best-3"]) == ("0.0", "30.0")
+
+
+def test_rows_and_charts_tell_before_from_after_fine_tuning(tmp_path: Path) -> None:
+    write_report(inputs(truth=True), CONFIG, tmp_path / "page", tmp_path / "figures")
+    text = (tmp_path / "page/index.html").read_text()
+    rows = first_cells(text)
+    assert rows["reconstruction"] == ["0.500", "20.000", "0.500"]
+    assert rows["fine-tuned"] == ["0.400", "22.000", "0.600"]
+    assert rows["training photograph of the same colours"] == ["0.700", "15.000", "0.300"]
+    assert "distance 6.000 → 1.000 · 180° off (flipped)" in text
+    errors = text[text.index('aria-label="share of pictures over rotation error in degrees"') :]
+    drawing, legend = errors.split('<div class="legend">')[:2]
+    assert re.findall(r"</svg>([\w-]+)</span>", legend)[:2] == ["predicted", "fine-tuned"]
+    bars = re.findall(r'class="bar series-(\d)" x="[^"]+" y="[^"]+" width="[^"]+" height="([^"]+)"', drawing)
+    filled = [sum(series == one and float(height) > 0 for series, height in bars) for one in "01"]
+    assert filled == [4, 2], "predicted errors are in four bars, those after fine-tuning in two"
+
+
+def test_rows_of_poses_and_shapes_have_their_own_figures() -> None:
+    figures = inputs(truth=True).figures
+    poses, shapes = first_cells(pose_table(figures["pose"])), first_cells(shape_table(figures["shape"]))
+    assert poses["test"][:3] == ["0.500", "20.0", "0.250"]
+    assert poses["test, fine-tuned"][:3] == ["0.750", "10.0", "0.200"]
+    assert [poses[name][0] for name in ("chance", "constant")] == ["0.150", "0.300"]
+    assert {name: cells[0] for name, cells in shapes.items()} == {
+        "test": "0.600",
+        "test, fine-tuned": "0.650",
+        "base shape": "0.500",
+        "base shape after full training": "0.550",
+        "constant": "0.400",
+    }
+
+
+def test_headline_compares_fine_tuned_pictures_with_those_before() -> None:
+    notes = {tile.label: (tile.value, tile.note) for tile in headline(inputs(truth=True).figures)}
+    assert notes == {
+        "of poses within 30°": ("0.500", "chance 0.150 · constant 0.300 · n = 4"),
+        "volume IoU of the base shape as trained": ("0.550", "constant 0.400"),
+        "mask IoU": ("0.700", "constant 0.450"),
+        "improved by fine-tuning": ("75.0%", "feature distance 0.500 → 0.400"),
+        "structural similarity": ("0.600", "0.500 before fine-tuning"),
+    }
+
+
+def test_azimuths_are_plotted_over_true_ones() -> None:
+    chart = azimuth_chart(inputs(truth=True).table)
+    ends = re.search(r'<line class="guide[^"]*" x1="([^"]+)" y1="([^"]+)" x2="([^"]+)" y2="([^"]+)"', chart)
+    assert ends is not None
+    left, bottom, right, top = map(float, ends.groups())  # the diagonal, from -180 to 180 degrees
+    dots = re.findall(r'<circle class="dot series-0" cx="([^"]+)" cy="([^"]+)" r="2.5"', chart)
+    across = [(float(x) - left) / (right - left) * 360 - 180 for x, _ in dots]
+    up = [(float(y) - bottom) / (top - bottom) * 360 - 180 for _, y in dots]
+    assert across == pytest.approx([0, 90, -180, -90], abs=1)
+    assert up == pytest.approx([0, -90, 170, 0], abs=1)
+
+
+def first_cells(text: str) -> dict[str, list[str]]:
+    """Read the values of a page's table rows, without their standard errors, by the row's name."""
+    rows = [re.findall("<td>(.*?)(?: <small>.*?)?</td>", row) for row in re.findall("<tr[^>]*>(<td>.*?)</tr>", text)]
+    return {name: cells for name, *cells in rows}
 
 
 def test_a_trimesh_without_three_js_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
