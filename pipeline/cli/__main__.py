@@ -1,10 +1,13 @@
 """The command line: `kato3d arrange`, `kato3d reconstruct`, `kato3d view`, `kato3d runs` and `kato3d doctor`."""
 
+import signal
 import sys
 import webbrowser
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 
 from pipeline.errors import in_one_sentence
 
@@ -12,9 +15,28 @@ from pipeline.errors import in_one_sentence
 def main(words: Sequence[str] | None = None) -> None:
     """Run a command; an error of the user is one sentence, without a traceback, and exits with status 1."""
     sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue]  # any file's name
-    arguments = _parser().parse_args(words)
-    with in_one_sentence():
+    with in_one_sentence(), _ended_by_signals():
+        arguments = _parser().parse_args(words)
         arguments.command(arguments)
+
+
+@contextmanager
+def _ended_by_signals() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP end the program as Ctrl-C does, with what is half written removed."""
+
+    def end(number: int, _: FrameType | None) -> None:
+        sys.stderr.write("stopped\n")
+        sys.exit(128 + number)
+
+    # One that is ignored stays so: that is what nohup does.
+    ending = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) == signal.SIG_DFL]
+    for number in ending:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in ending:
+            signal.signal(number, signal.SIG_DFL)
 
 
 def _parser() -> ArgumentParser:
@@ -27,7 +49,7 @@ def _parser() -> ArgumentParser:
         type=Path,
         nargs="+",
         metavar="PHOTO",
-        help="a photograph, or a folder: RGB, at least as large as the model's pictures",
+        help="a photograph, or a folder: RGB, at least as large as the model's pictures; -NAME is written ./-NAME",
     )
     reconstruct.add_argument("--run", help="whose model; default: the first run in params.yaml")
     reconstruct.add_argument("--out", type=Path, required=True, help="folder to write to")
@@ -88,18 +110,22 @@ def _reconstruct(arguments: Namespace) -> None:
     print(f"{outcome.written} written to {out}, {outcome.skipped} already there, {len(outcome.failures)} failed")
     if outcome.page:
         print(f"open {outcome.page.resolve()}")
+    elif outcome.written or outcome.skipped:
+        print("no page: it needs `mesh`, `picture` and `pose` among --outputs")
     if outcome.failures:
         sys.exit("\n".join(f"error: {failure}" for failure in outcome.failures))
 
 
 def _arrange(arguments: Namespace) -> None:
     from pipeline.cli.arrange import arrange
+    from pipeline.datasets.folder import ENDINGS
 
     found = arrange(arguments.folder, arguments.category, arguments.out, arguments.least_side)
     for reason in found.left_out:
         print(f"left out: {reason}")
     for ending, count in sorted(found.passed_over.items()):
-        print(f"passed over: {count} files that end in '{ending}'")
+        made = " and that `kato3d reconstruct` has written" if ending in ENDINGS else ""
+        print(f"passed over: {count} files that end in '{ending}'{made}")
     left_out = len(found.left_out)
     print(f"{found.train} for training and {found.test} for testing written to {arguments.out}, {left_out} left out")
 
@@ -113,7 +139,7 @@ def _positive(text: str) -> int:
 def _outputs(text: str) -> list[str]:
     from pipeline.cli.photographs import FILES
 
-    outputs = text.split(",")
+    outputs = [output.strip() for output in text.split(",")]
     unknown = [output for output in outputs if output not in FILES]
     if unknown:
         raise ArgumentTypeError(f"'{unknown[0]}' is no output; expected some of {','.join(FILES)}")

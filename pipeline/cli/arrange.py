@@ -1,5 +1,6 @@
 """Bring a folder of photographs into the form that the pipeline learns from."""
 
+import csv
 import io
 from collections import Counter
 from collections.abc import Mapping
@@ -12,7 +13,6 @@ from tqdm import tqdm
 
 from pipeline.cli.photographs import find_photographs, visible_files
 from pipeline.datasets.decoding import reading, to_srgb
-from pipeline.datasets.folder import ENDINGS
 from pipeline.datasets.prepared import is_plain
 from pipeline.errors import DataError
 from pipeline.files import atomic_path
@@ -22,6 +22,8 @@ LONGEST = 1024
 """Pixels along the longer side of what is written: far more than any run looks at."""
 LIMIT = 65500
 """Pixels along a side that JPEG holds, as it is commonly written."""
+ORIGINALS = "originals.csv"
+"""Says of each picture, beside `train` and `test`, which photograph below the folder it is a copy of."""
 
 
 class Arranged(NamedTuple):
@@ -29,7 +31,7 @@ class Arranged(NamedTuple):
 
     Attributes:
         left_out: why others got none, a sentence each.
-        passed_over: how many files there are of each ending that no picture has that can be read.
+        passed_over: how many files there are of each ending that are no photographs.
     """
 
     train: int
@@ -43,9 +45,9 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
 
     They are turned upright, become RGB in the colours of sRGB, on white where they are transparent, and are made
     smaller until their long side is 1024 px or their short side `least_side`. Those that cannot be read, whose short
-    side is below `least_side`, or that would still be longer than a JPEG can be, are left out. Raises DataError for an
-    `out` that exists or is inside of the folder, for a folder in it that is a link, and where fewer than two
-    photographs are left.
+    side is below `least_side`, or that would still be longer than a JPEG can be, are left out. `originals.csv` says
+    which photograph each picture is a copy of. Raises DataError for an `out` that exists or is inside of the folder,
+    for a folder in it that is a link, and where fewer than two photographs are left.
     """
     if not is_plain(category):
         raise DataError(f"the category is '{category}'; expected a name of letters, digits, _ and - (a to z)")
@@ -55,25 +57,32 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
         raise DataError(f"{out} is inside of {folder}; name a folder outside of it")
     if out.exists():
         raise DataError(f"{out} exists; name a folder that does not")
-    counts, left_out = {"train": 0, "test": 0}, []
+    found, originals, left_out = find_photographs(folder), {}, []
     with atomic_path(out) as temporary:
-        for path in tqdm(find_photographs(folder), "arranging", disable=None):
-            split = "train" if sum(counts.values()) % TEST_EVERY else "test"
+        for path in tqdm(found, "arranging", disable=None):
+            split = "train" if len(originals) % TEST_EVERY else "test"
             try:
                 picture = _upright(path, least_side)
             except DataError as error:
                 left_out.append(str(error))
                 continue
-            target = temporary / split / category / f"{sum(counts.values()):06}.jpg"
-            target.parent.mkdir(parents=True, exist_ok=True)
-            picture.save(target, quality=95)
-            counts[split] += 1
-        if not counts["train"]:
+            name = f"{split}/{category}/{len(originals):06}.jpg"
+            (temporary / name).parent.mkdir(parents=True, exist_ok=True)
+            picture.save(temporary / name, quality=95)
+            originals[name] = path.relative_to(folder).as_posix()
+        if len(originals) < 2:
             first = f" ({left_out[0]})" if left_out else ""
-            raise DataError(f"{folder} has {counts['test']} photographs that can be used{first}; expected at least 2")
-    endings = Counter(path.suffix.lower() for path in visible_files(folder))
-    passed_over = {ending: count for ending, count in endings.items() if ending not in ENDINGS}
-    return Arranged(counts["train"], counts["test"], left_out, passed_over)
+            raise DataError(f"{folder} has {len(originals)} photographs that can be used{first}; expected at least 2")
+        _write_originals(temporary / ORIGINALS, originals)
+    passed_over = Counter(path.suffix.lower() for path in set(visible_files(folder)).difference(found))
+    test = sum(name.startswith("test/") for name in originals)
+    return Arranged(len(originals) - test, test, left_out, passed_over)
+
+
+def _write_originals(path: Path, originals: Mapping[str, str]) -> None:
+    # Names of files may hold bytes that are no text.
+    with path.open("w", encoding="utf-8", errors="backslashreplace", newline="") as stream:
+        csv.writer(stream, lineterminator="\n").writerows([("picture", "original"), *originals.items()])
 
 
 def _upright(path: Path, least_side: int) -> Image.Image:

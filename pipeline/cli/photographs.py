@@ -1,5 +1,6 @@
 """Which photographs to reconstruct, and where what comes of them is written."""
 
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -22,6 +23,8 @@ RECORD = "reconstruct.json"
 """Says in a folder of outputs which model made them, and how."""
 ORIGIN = "_photograph.sha256"
 """Ending of the file that says which photograph outputs are made of."""
+_PICTURES = tuple(ending for endings in FILES.values() for ending in endings if Path(ending).suffix in ENDINGS)
+"""Endings of what is made of a photograph and could be taken for one."""
 
 
 class Target(NamedTuple):
@@ -70,47 +73,56 @@ def find_targets(out: Path, outputs: Sequence[str]) -> list[Target]:
 
 
 def find_photographs(folder: Path) -> list[Path]:
-    """List the photographs below a folder by name, without hidden ones and what was made of photographs.
+    """List the photographs below a folder by name, without hidden ones and the pictures that were made of photographs.
 
-    Raises DataError where there is no folder, where it has none, and for a folder in it that is a link.
+    A link to nothing is listed, so that reading it is an error that is told. Raises DataError where there is no folder,
+    where it has none, and for a folder in it that is a link.
     """
     if not folder.is_dir():
         raise DataError(f"{folder} does not exist; give the path of a photograph or of a folder of photographs")
     files = list(visible_files(folder))
     made = {file.parent for file in files if file.name == RECORD}
-    found = sorted(file for file in files if file.suffix.lower() in ENDINGS and made.isdisjoint(file.parents))
+    found = sorted(
+        file
+        for file in files
+        if file.suffix.lower() in ENDINGS and (made.isdisjoint(file.parents) or not file.name.endswith(_PICTURES))
+    )
     if not found:
         raise DataError(f"{folder} holds no photographs ({' '.join(sorted(ENDINGS))}); give another folder")
     return found
 
 
 def visible_files(folder: Path) -> Iterator[Path]:
-    """Yield the files below a folder that are not hidden. Raises DataError for a folder in it that is a link."""
-    return (path for path in walk(folder) if path.is_file() and not is_hidden(path.relative_to(folder)))
+    """Yield the files and links to nothing below a folder that are not hidden.
+
+    Raises DataError for a folder in it that is a link.
+    """
+    files = (path for path in walk(folder) if path.is_file() or not path.exists())
+    return (file for file in files if not is_hidden(file.relative_to(folder)))
 
 
 def list_tasks(paths: Sequence[Path], out: Path) -> list[Task]:
     """List the photographs among files and, at any depth, folders, whose arrangement the outputs keep.
 
-    Folders of earlier outputs inside of one of photographs are left out. A photograph that is named twice is listed
-    once.
+    Earlier outputs inside of a folder of photographs are left out. A photograph that is named twice is listed once.
 
-    Raises DataError for a path that does not exist, a folder without photographs, two photographs of one name, and an
-    `out` that is the photographs' own folder, in which nothing would tell them from what is written.
+    Raises DataError for a path that does not exist, a folder without photographs, and an `out` that is a file, or the
+    photographs' own folder or one above it, which may be read as one of photographs later.
     """
-    tasks: dict[Target, Task] = {}
+    if out.is_file():
+        raise DataError(f"{out} is a file; name a folder")
+    tasks: dict[tuple[str, Target], Task] = {}
     for task in (task for path in paths for task in _tasks(path, out)):
-        photograph, target = task
-        other = tasks.setdefault(target, task).photograph
-        if other.resolve() != photograph.resolve():
-            raise DataError(f"{other} and {photograph} would both be written as {target.file('.glb')}; rename one")
+        tasks.setdefault((os.path.realpath(task.photograph), task.target), task)
     return list(tasks.values())
 
 
 def _tasks(path: Path, out: Path) -> Iterator[Task]:
     folder = path.parent if path.is_file() else path
-    if out.resolve() == folder.resolve():
-        raise DataError(f"{out} is the folder of the photographs; name another for what is written, such as meshes")
+    if out.resolve() in (folder.resolve(), *folder.resolve().parents):
+        raise DataError(
+            f"{out} is the folder of the photographs or one above it; name another for what is written, such as meshes"
+        )
     if path.is_file():
         yield Task(path, Target(out / _plain(path.name)))
         return

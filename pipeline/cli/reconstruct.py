@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from pipeline.cli.gallery import write_gallery
 from pipeline.cli.outputs import Found, write_outputs
-from pipeline.cli.photographs import RECORD, Task, find_targets
+from pipeline.cli.photographs import RECORD, Target, Task, find_targets
 from pipeline.cli.runs import Run
 from pipeline.config import load, scalar
 from pipeline.datasets.decoding import Fit, decode, decode_up_to, reading
@@ -87,7 +87,6 @@ def reconstruct(
     config, painting, fit, report = settings
     way = _way(run, settings, steps)
     _require_same_way(out, way)
-    out.mkdir(parents=True, exist_ok=True)
     waiting, failures = _waiting(tasks, outputs)
     skipped, written = len(tasks) - len(waiting) - len(failures), 0
     extractor = load_feature_extractor(run.features, device, resolve_precision(scalar(run.params, "precision"), device))
@@ -135,7 +134,12 @@ def _way(run: Run, settings: Settings, steps: Steps) -> dict[str, str | bool]:
 def _waiting(tasks: Sequence[Task], outputs: Sequence[str]) -> tuple[list[Task], list[str]]:
     """Leave out photographs that are reconstructed, and say a sentence for each of those that cannot be."""
     waiting, failures = [], []
+    first: dict[Target, Path] = {}
     for task in tasks:
+        other = first.setdefault(task.target, task.photograph)
+        if other != task.photograph:
+            failures.append(f"the outputs of {task.photograph} would be written over those of {other}; rename one")
+            continue
         try:
             with reading(str(task.photograph)):
                 done = task.done(outputs)

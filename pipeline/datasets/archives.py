@@ -47,7 +47,7 @@ def read_tree(path: Path, wanted: Wanted = lambda _: True) -> Iterator[Entry]:
     """Yield every wanted entry of a folder, a zip or a tar (plain, gz, bz2, xz), in the order it is stored.
 
     Raises DataError if the source is missing, truncated or damaged, or holds an entry that points outside of it: an
-    absolute path, a path with `..`, a device or a link; in a folder, linked files are read, linked folders refused.
+    absolute path, a path with `..`, a device or a link; in a folder, linked files are read, other links refused.
     What is not wanted, by its path inside the tree, is not read. One file's content is held at a time, and besides it
     the names of one folder, or the table of a zip; a tar takes no memory that grows with its length.
     """
@@ -55,6 +55,8 @@ def read_tree(path: Path, wanted: Wanted = lambda _: True) -> Iterator[Entry]:
         for entry in walk(path):
             name = PurePosixPath(entry.relative_to(path))
             if wanted(name):
+                if not entry.exists():
+                    raise DataError(f"{entry} is a link to nothing; mend or remove it")
                 yield Entry(name, entry.read_bytes() if entry.is_file() else None)
         return
     if not path.is_file():

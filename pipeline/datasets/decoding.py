@@ -22,7 +22,7 @@ Fit = Literal["crop", "pad"]
 size and continues the border pixels along the short one.
 """
 
-_PROFILED = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK"}
+_PROFILED = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK", "Lab ": "LAB"}
 """Modes of pictures whose colours a profile describes."""
 
 Box = tuple[int, int, int, int]
@@ -77,7 +77,10 @@ def _upright(content: bytes, name: str) -> Image.Image:
         picture = ImageOps.exif_transpose(Image.open(io.BytesIO(content)))
         picture.load()
     if picture.mode != "RGB":
-        raise DataError(f"{name} has the colour mode {picture.mode}; expected RGB; convert or remove it")
+        mode = picture.mode
+        raise DataError(
+            f"{name} has the colour mode {mode}; expected RGB; convert it (`kato3d arrange` does) or remove it"
+        )
     return picture
 
 
@@ -97,8 +100,10 @@ def reading(name: str) -> Iterator[None]:
         yield
     except UnidentifiedImageError:  # its text names the buffer, not the picture
         raise DataError(f"{name} cannot be read as a picture (unknown format); replace or remove it") from None
+    except Image.DecompressionBombError as error:
+        sizes = str(error).partition(", could be")[0]
+        raise DataError(f"{name} is too large to be read: {sizes}; make it smaller or remove it") from None
     except (  # the last two: EXIF data of the wrong types, which turning a picture upright writes anew
-        Image.DecompressionBombError,
         EOFError,
         OSError,
         RuntimeError,

@@ -118,6 +118,13 @@ def test_a_link_to_a_folder_is_refused_and_a_linked_file_is_read(tmp_path: Path)
         list(read_tree(tmp_path / "tree"))
 
 
+def test_a_link_to_nothing_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "1.jpg").symlink_to(tmp_path / "gone.jpg")
+    with pytest.raises(DataError, match=r"1\.jpg is a link to nothing; mend or remove it"):
+        list(read_tree(tmp_path))
+    assert list(read_tree(tmp_path, lambda name: name.suffix == ".png")) == []
+
+
 def test_a_link_is_refused(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"'train/car/1.jpg' is a link"):
         contents(write_tar(tmp_path / "pictures.tar", {}, {"train/car/1.jpg": "/etc/passwd"}))

@@ -2,6 +2,8 @@
 
 import io
 import os
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +13,7 @@ from PIL import Image
 from pipeline.cli.__main__ import main
 from pipeline.cli.arrange import LONGEST, arrange
 from pipeline.datasets.folder import FolderConfig, read_folder
+from pipeline.datasets.survey import survey
 from pipeline.errors import DataError
 from tests.picture_trees import noise, picture, swapped, write_folder
 
@@ -22,6 +25,77 @@ def test_every_tenth_photograph_is_for_testing(tmp_path: Path) -> None:
     pictures = list(read_folder(tmp_path / "mine", FolderConfig(32, "crop")))
     assert [sum(one.split == split for one in pictures) for split in ("train", "test")] == [18, 3]
     assert {one.category for one in pictures} == {"ship"}
+    assert survey(tmp_path / "mine") == (tmp_path / "mine", "folder", {"ship"})
+
+
+def test_a_table_says_which_photograph_each_picture_is_of(tmp_path: Path) -> None:
+    names = ("b, c.jpg", os.fsdecode(b"sub/caf\xe9.jpg"), "a.jpg", "broken.jpg")
+    files = {name: noise(number) for number, name in enumerate(names)} | {"broken.jpg": b""}
+    arrange(write_folder(tmp_path / "photos", files), "ship", tmp_path / "mine", 32)
+    assert (tmp_path / "mine/originals.csv").read_text(encoding="utf-8").splitlines() == [
+        "picture,original",
+        "test/ship/000000.jpg,a.jpg",
+        'train/ship/000001.jpg,"b, c.jpg"',
+        r"train/ship/000002.jpg,sub/caf\udce9.jpg",
+    ]
+
+
+def test_what_was_made_of_photographs_hides_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    made = ("reconstruct.json", "a.glb", "a_photograph.png", "a_texture.png", "sub/b_reconstruction.png")
+    photos = write_folder(tmp_path / "photos", {name: noise(1) for name in (*made, "x/a.jpg", "x/b.jpg", "c.jpg")})
+    main(["arrange", str(photos), "--category", "ship", "--out", str(tmp_path / "mine")])
+    assert capsys.readouterr().out.splitlines() == [
+        "passed over: 1 files that end in '.glb'",
+        "passed over: 1 files that end in '.json'",
+        "passed over: 3 files that end in '.png' and that `kato3d reconstruct` has written",
+        f"2 for training and 1 for testing written to {tmp_path / 'mine'}, 0 left out",
+    ]
+
+
+def test_a_link_to_nothing_is_said(tmp_path: Path) -> None:
+    photos = write_folder(tmp_path / "photos", {"a.jpg": noise(1), "b.jpg": noise(2)})
+    (photos / "moved.jpg").symlink_to(tmp_path / "nothing.jpg")
+    (photos / "turning.jpg").symlink_to(photos / "turning.jpg")
+    found = arrange(photos, "ship", tmp_path / "mine", 32)
+    assert (found.train, found.test) == (1, 1)
+    for reason, name in zip(found.left_out, ("moved.jpg", "turning.jpg"), strict=True):
+        assert reason.startswith(f"{photos / name} cannot be read as a picture")
+
+
+@pytest.fixture(params=[signal.SIGTERM, signal.SIGHUP])
+def number(request: pytest.FixtureRequest) -> Iterator[signal.Signals]:
+    """Name a signal, which nobody has taken care of yet, and put things as they were in the end."""
+    before = signal.signal(request.param, signal.SIG_DFL)
+    yield request.param
+    signal.signal(request.param, before)
+
+
+def test_a_stopped_command_leaves_nothing_half_written(
+    tmp_path: Path, number: signal.Signals, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    photos = write_folder(tmp_path / "photos", {"a.jpg": noise(1), "b.jpg": noise(2)})
+    monkeypatch.setattr(Image.Image, "save", lambda *_, **__: signal.raise_signal(number))
+    with pytest.raises(SystemExit) as caught:
+        main(["arrange", str(photos), "--category", "ship", "--out", str(tmp_path / "mine")])
+    assert caught.value.code == 128 + number
+    assert "stopped\n" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == [photos]
+    assert signal.getsignal(number) == signal.SIG_DFL
+
+
+def test_a_signal_that_is_ignored_stops_nothing(
+    tmp_path: Path, number: signal.Signals, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    photos, save = write_folder(tmp_path / "photos", {"a.jpg": noise(1), "b.jpg": noise(2)}), Image.Image.save
+
+    def save_and_signal(picture: Image.Image, path: Path, quality: int) -> None:
+        signal.raise_signal(number)
+        save(picture, path, quality=quality)
+
+    monkeypatch.setattr(Image.Image, "save", save_and_signal)
+    signal.signal(number, signal.SIG_IGN)  # as nohup does
+    main(["arrange", str(photos), "--category", "ship", "--out", str(tmp_path / "mine")])
+    assert len(list((tmp_path / "mine").rglob("*.jpg"))) == 2
 
 
 def test_hidden_files_are_no_photographs(tmp_path: Path) -> None:

@@ -175,11 +175,14 @@ def test_a_folder_is_reconstructed_but_for_what_cannot_be_read(
     shutil.copy(tmp_path / "van.png", folder / "vans/van.png")
     (folder / "broken.jpg").write_bytes(b"not a picture")
     (folder / "notes.txt").write_text("nor this")
-    with pytest.raises(
-        SystemExit, match=r"^error: .*broken\.jpg cannot be read as a picture .*; replace or remove it$"
-    ):
-        reconstruct(project, str(folder), "--outputs", "pose,mesh")
-    assert "2 written to" in capsys.readouterr().out
+    (folder / "moved.jpg").symlink_to(tmp_path / "nothing.jpg")
+    with pytest.raises(SystemExit) as caught:
+        reconstruct(project, str(folder), "--outputs", "pose, mesh")
+    for line, name in zip(str(caught.value.code).splitlines(), ("broken.jpg", "moved.jpg"), strict=True):
+        assert re.match(rf"error: \S*{name} cannot be read as a picture .*; replace or remove it$", line)
+    printed = capsys.readouterr().out
+    assert "2 written to" in printed
+    assert printed.endswith("no page: it needs `mesh`, `picture` and `pose` among --outputs\n")
     assert (project / "out/car.glb").is_file()
     assert (project / "out/vans/van_pose.json").is_file()
     assert not list((project / "out").rglob("*.gif"))
@@ -210,12 +213,13 @@ def test_a_model_of_other_code_names_the_stage_that_makes_it(project: Path, tmp_
 
 
 def test_what_was_made_of_photographs_is_none_of_them(tmp_path: Path) -> None:
-    made = {f"{folder}/{name}": b"" for folder in ("meshes", "sub/painted") for name in ("reconstruct.json", "x/a.png")}
-    write_folder(tmp_path / "cars", {"car.png": b"", "sub/van.png": b"", **made})
+    files = ("reconstruct.json", "x/a_texture.png", "b_photograph.png", "b_reconstruction.png")
+    made = {f"{folder}/{name}": b"" for folder in ("meshes", "sub/painted") for name in files}
+    write_folder(tmp_path / "cars", {"car.png": b"", "sub/van_texture.png": b"", **made})
     for out in (tmp_path / "cars/meshes", tmp_path / "cars/more", tmp_path / "elsewhere"):
         assert list_tasks([tmp_path / "cars"], out) == [
             Task(tmp_path / "cars/car.png", Target(out / "car")),
-            Task(tmp_path / "cars/sub/van.png", Target(out / "sub/van")),
+            Task(tmp_path / "cars/sub/van_texture.png", Target(out / "sub/van_texture")),
         ]
 
 
@@ -229,7 +233,7 @@ def test_what_is_made_of_another_photograph_stays(
     photographs = [str(tmp_path / "other/car.png"), str(tmp_path / "van.png")]
     with pytest.raises(SystemExit, match=r"^error: \S*out/car is made of another photograph than \S*other/car.png is"):
         reconstruct(project, *photographs, "--outputs", "pose")
-    assert "1 written to" in (printed := capsys.readouterr().out.splitlines()[-1])
+    assert "1 written to" in (printed := capsys.readouterr().out.splitlines()[-2])
     assert "0 already there, 1 failed" in printed
     assert (project / "out/car_pose.json").read_text() == first
     (project / "out/car_photograph.sha256").unlink()
@@ -238,18 +242,23 @@ def test_what_is_made_of_another_photograph_stays(
     assert (project / "out/car_pose.json").read_text() == (project / "out/van_pose.json").read_text() != first
 
 
-def test_a_folder_without_reconstructions_is_free_for_any(project: Path, tmp_path: Path) -> None:
+def test_a_folder_without_reconstructions_is_free_for_any(
+    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (tmp_path / "broken.png").touch()
     with pytest.raises(SystemExit, match=r"broken\.png cannot be read as a picture"):
         reconstruct(project, str(tmp_path / "broken.png"))
+    assert not (project / "out").exists()
+    assert "no page" not in capsys.readouterr().out
     assert "car_pose.json" in reconstruct(project, str(tmp_path / "car.png"), "--outputs", "pose", "--fine-tune")
 
 
 def test_photographs_and_what_is_written_do_not_share_a_folder(tmp_path: Path) -> None:
-    (tmp_path / "car.png").touch()
-    for given in (tmp_path, tmp_path / "car.png"):
-        with pytest.raises(DataError, match="is the folder of the photographs; name another for what is written"):
-            list_tasks([given], tmp_path / "sub" / "..")
+    photographs = write_folder(tmp_path / "photographs", {"car.png": b""})
+    for given in (photographs, photographs / "car.png"):
+        for out in (photographs / "sub" / "..", tmp_path):
+            with pytest.raises(DataError, match="is the folder of the photographs or one above it; name another for"):
+                list_tasks([given], out)
 
 
 def test_a_linked_folder_of_photographs_is_not_passed_over(tmp_path: Path) -> None:
@@ -269,7 +278,7 @@ def test_a_stopped_reconstruction_goes_on_where_it_stopped(
     car.write_bytes(b"not written again")
     van.unlink()
     reconstruct(project, *photographs, "--outputs", "mesh,pose")
-    assert "1 written to" in (printed := capsys.readouterr().out.splitlines()[-1])
+    assert "1 written to" in (printed := capsys.readouterr().out.splitlines()[-2])
     assert "1 already there" in printed
     assert car.read_bytes() == b"not written again"
     assert trimesh.load_mesh(van).bounds == pytest.approx(bounds, abs=1e-5)
@@ -344,6 +353,10 @@ def test_a_name_that_is_no_text_becomes_one(project: Path, tmp_path: Path) -> No
 
 def test_a_folder_that_cannot_be_written_is_said_before_anything_is_inferred(project: Path, tmp_path: Path) -> None:
     (project / "out").touch()
+    with pytest.raises(SystemExit, match=r"^error: \S*out is a file; name a folder$"):
+        reconstruct(project, str(tmp_path / "car.png"))
+    (project / "out").unlink()
+    (project / "out").symlink_to(project / "params.yaml" / "out")
     with pytest.raises(SystemExit, match=r"^error: .*out.*(Not a directory|File exists); look at the path"):
         reconstruct(project, str(tmp_path / "car.png"))
 
@@ -372,11 +385,35 @@ def test_spaces_in_names_become_underscores(project: Path, tmp_path: Path) -> No
     assert "mtllib red_car.mtl\n" in (project / "out/red_car.obj").read_text()
 
 
-def test_two_photographs_of_one_name_are_refused(project: Path, tmp_path: Path) -> None:
-    shutil.copytree(tmp_path / "project", tmp_path / "other")
-    shutil.copy(tmp_path / "car.png", tmp_path / "other/car.png")
-    with pytest.raises(SystemExit, match=r"would both be written as .*car\.glb; rename one"):
-        reconstruct(project, str(tmp_path / "car.png"), str(tmp_path / "other/car.png"))
+def test_the_second_photograph_of_a_name_stops_no_other(
+    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "cars"
+    folder.mkdir()
+    for name in ("1.BMP", "1.png", "a b.png", "a_b.png", "c.png"):
+        Image.open(tmp_path / "car.png").save(folder / name)
+    with pytest.raises(SystemExit) as caught:
+        reconstruct(project, str(folder), "--outputs", "pose")
+    assert str(caught.value.code).splitlines() == [
+        f"error: the outputs of {folder / second} would be written over those of {folder / first}; rename one"
+        for first, second in (("1.BMP", "1.png"), ("a b.png", "a_b.png"))
+    ]
+    assert "3 written to" in (printed := capsys.readouterr().out)
+    assert "0 already there, 2 failed" in printed
+    assert {path.name for path in (project / "out").glob("*.json")} == {
+        "1_pose.json",
+        "a_b_pose.json",
+        "c_pose.json",
+        "reconstruct.json",
+    }
+
+
+def test_the_help_says_how_to_name_a_photograph_that_begins_like_an_option(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with pytest.raises(SystemExit):
+        main(["reconstruct", "--help"])
+    assert "-NAME is written ./-NAME" in " ".join(capsys.readouterr().out.split())
 
 
 def test_an_unknown_output_is_named(project: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -69,6 +69,15 @@ def test_colours_become_those_of_srgb() -> None:
     assert (cut_boxes(swapped("RGB"), "1.png", [(0, 0, 32, 32)], 32)[0] == pixels).all()
 
 
+def test_lightness_and_two_colours_become_srgb() -> None:
+    stream = io.BytesIO()
+    picture = Image.new("RGB", (32, 32), (40, 200, 90)).convert("LAB")
+    picture.save(stream, "TIFF")
+    assert picture.info["icc_profile"]
+    pixels = cut_boxes(stream.getvalue(), "1.tif", [(0, 0, 32, 32)], 32)[0]
+    assert np.abs(pixels.astype(int) - (40, 200, 90)).max() < 5
+
+
 def test_a_damaged_colour_profile_is_refused() -> None:
     stream = io.BytesIO()
     Image.new("RGB", (32, 32)).save(stream, "PNG", icc_profile=b"no profile")
@@ -78,7 +87,9 @@ def test_a_damaged_colour_profile_is_refused() -> None:
 
 @pytest.mark.parametrize("mode", ["L", "RGBA", "P", "1"])
 def test_another_colour_mode_is_refused(mode: str) -> None:
-    with pytest.raises(DataError, match=rf"car/7.png has the colour mode {mode}; expected RGB"):
+    with pytest.raises(
+        DataError, match=rf"car/7.png has the colour mode {mode}; expected RGB; .*`kato3d arrange` does"
+    ):
         decode(picture(mode=mode), "car/7.png", 32, "crop")
 
 
@@ -100,7 +111,7 @@ def test_a_picture_of_a_telephone_is_read_or_refused() -> None:
 
 def test_a_picture_that_would_fill_the_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
-    with pytest.raises(DataError, match=r"car/7.jpg cannot be read as a picture \(Image size"):
+    with pytest.raises(DataError, match=r"car/7.jpg is too large .* \(1024 pixels\) exceeds limit of 200 pixels; make"):
         decode(noise(0), "car/7.jpg", 32, "crop")
 
 
