@@ -226,8 +226,7 @@ class FullTrainer:
         read = read_poses(model, images)
         told = tell_ends(images, poses[: len(read)], read, model.poses, self.extractor, config, self.rng)
         agree([told])
-        told = functional.pad(told, (0, len(poses) - len(told)))
-        told = told * (self.visits > 0)
+        told = functional.pad(told, (0, len(poses) - len(told))) * (self.visits > 0)
         poses.copy_(torch.where(told[:, None] < 0, flipped(poses, 1)[0], poses))
         return told != 0
 
