@@ -35,7 +35,7 @@ def main() -> None:
     tensors, _ = load_tensors(arguments.base_shape)
     seeds, faces, scores = (tensors[name] for name in ("seed_vertices", "faces", "seed_scores"))
     views = [on_white(render_clay(seed, faces, SEED_AZIMUTHS, config.camera, config.view)) for seed in seeds]
-    chosen = choose_seed(arguments.chosen, scores.tolist())
+    chosen = choose_seed(arguments.chosen, scores.tolist(), arguments.base_shape.stem)
     write_png(arguments.figure, sheet(dict(zip(seed_names(scores, chosen), views, strict=True))))
     training, test = (load_true_split(arguments.truth, split, arguments.category) for split in ("train", "test"))
     figures = {}

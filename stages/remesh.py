@@ -30,7 +30,7 @@ def main() -> None:
     arguments = parse(__doc__, base_shape=Path, chosen=str, out=Path, metrics=Path)
     config = load(arguments.params, RemeshConfig, arguments.sections)
     tensors, _ = load_tensors(arguments.base_shape)
-    chosen = choose_seed(arguments.chosen, tensors["seed_scores"].tolist())
+    chosen = choose_seed(arguments.chosen, tensors["seed_scores"].tolist(), arguments.base_shape.stem)
     base_shape = MappedMesh(tensors["seed_vertices"][chosen], tensors["faces"], tensors["directions"])
     if config.method == "isotropic":
         remeshed = remesh_isotropic(base_shape, config.isotropic, config.sphere_map)

@@ -21,6 +21,9 @@ _ZIP, _GZIP = b"PK", b"\x1f\x8b"
 _ENCRYPTED = 1
 """The flag of a zip's member that needs a password."""
 
+LARGEST = 2**30
+"""Bytes of a file in an archive that are unpacked at most: a small archive can hold files larger than memory."""
+
 Wanted = Callable[[PurePosixPath], bool]
 
 
@@ -47,7 +50,8 @@ def read_tree(path: Path, wanted: Wanted = lambda _: True) -> Iterator[Entry]:
     """Yield every wanted entry of a folder, a zip or a tar (plain, gz, bz2, xz), in the order it is stored.
 
     Raises DataError if the source is missing, truncated or damaged, or holds an entry that points outside of it: an
-    absolute path, a path with `..`, a device or a link; in a folder, linked files are read, other links refused.
+    absolute path, a path with `..`, a device or a link; in a folder, linked files are read, other links refused. So it
+    does for a wanted file in an archive that is larger than a gibibyte.
     What is not wanted, by its path inside the tree, is not read. One file's content is held at a time, and besides it
     the names of one folder, or the table of a zip; a tar takes no memory that grows with its length.
     """
@@ -88,6 +92,7 @@ def _read_zip(path: Path, wanted: Wanted) -> Iterator[Entry]:
             if (member.external_attr >> 16) & 0o170000 == 0o120000:
                 raise DataError(f"{path}: '{member.filename}' is a link; expected only files and folders")
             if wanted(name):
+                _require_small(path, name, member.file_size)
                 if member.flag_bits & _ENCRYPTED:
                     raise DataError(f"{path}: '{member.filename}' is encrypted; unpack the archive and name the folder")
                 try:
@@ -114,6 +119,7 @@ def _read_tar(path: Path, wanted: Wanted) -> Iterator[Entry]:
                 raise DataError(f"{path}: '{member.name}' is a link or a device; expected only files and folders")
             if not wanted(name):
                 continue
+            _require_small(path, name, member.size)
             stream = archive.extractfile(member)
             content = stream.read() if stream else None
             if content is not None and len(content) < member.size:
@@ -126,6 +132,12 @@ def _read_tar(path: Path, wanted: Wanted) -> Iterator[Entry]:
 def _start(path: Path) -> bytes:
     with path.open("rb") as stream:
         return stream.read(2)
+
+
+def _require_small(path: Path, name: PurePosixPath, size: int) -> None:
+    if size > LARGEST:
+        found, most = (f"{bytes_ / 2**30:.1f} GiB" for bytes_ in (size, LARGEST))
+        raise DataError(f"{path}: '{name}' has {found}; expected files of up to {most}; remove it")
 
 
 def _inside(path: Path, name: str) -> PurePosixPath:

@@ -15,17 +15,17 @@ def best_seed(scores: Sequence[float]) -> int:
     return min(range(len(scores)), key=scores.__getitem__)
 
 
-def choose_seed(choice: str, scores: Sequence[float]) -> int:
-    """Return the seed of the base shape that others are built around: the best by `score`, or the one that is named.
+def choose_seed(choice: str, scores: Sequence[float], name: str) -> int:
+    """Return the seed of the base shape that others are built around: the best by `score`, or the one that is chosen.
 
-    Raises ConfigError where there is no such seed.
+    `name` is that of the entry under `base_shapes`. Raises ConfigError where there is no such seed.
     """
     if choice == BY_SCORE:
         return best_seed(scores)
     if choice.isdecimal() and int(choice) < len(scores):
         return int(choice)
     raise ConfigError(
-        f"base_shapes: `chosen` is '{choice}'; expected '{BY_SCORE}', or a seed from 0 to {len(scores) - 1}"
+        f"base_shapes.{name}.chosen is '{choice}'; expected '{BY_SCORE}', or a seed from 0 to {len(scores) - 1}"
     )
 
 

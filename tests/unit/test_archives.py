@@ -7,6 +7,7 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
+from pipeline.datasets import archives
 from pipeline.datasets.archives import read_tree
 from pipeline.errors import DataError
 from pipeline.seeding import numpy_generator
@@ -63,6 +64,17 @@ def test_an_encrypted_zip_is_refused(tmp_path: Path) -> None:
     (tmp_path / "locked.zip").write_bytes(content)
     with pytest.raises(DataError, match=r"'train/car/1\.jpg' is encrypted; unpack the archive and name the folder"):
         contents(tmp_path / "locked.zip")
+
+
+@pytest.mark.parametrize("write", [write_zip, write_tar])
+def test_a_file_that_would_fill_memory_is_refused_if_it_is_wanted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Callable[[Path, dict[str, bytes]], Path]
+) -> None:
+    monkeypatch.setattr(archives, "LARGEST", 2**16)
+    source = write(tmp_path / "pictures.tar", {"train/car/1.jpg": bytes(2**16), "train/car/2.jpg": bytes(2**17)})
+    assert [len(content or b"") for _, content in read_tree(source, lambda name: name.stem == "1")] == [2**16]
+    with pytest.raises(DataError, match=r"'train/car/2\.jpg' has 0\.0 GiB; expected files of up to .*; remove it"):
+        contents(source)
 
 
 def test_a_zip_that_is_packed_in_another_way_is_named(tmp_path: Path) -> None:
