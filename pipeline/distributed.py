@@ -5,6 +5,7 @@ draws for the whole batch, takes its share of what was drawn, and takes the same
 over the processes first. Where there is one process, the functions here return what they are given.
 """
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -40,6 +41,11 @@ def world() -> World:
 def is_first() -> bool:
     """Tell whether this is the process that writes files."""
     return world().rank == 0
+
+
+def leads() -> bool:
+    """Tell, also before the processes have met, whether this one is the first or starts the others."""
+    return not dist.is_torchelastic_launched() or os.environ["RANK"] == "0"
 
 
 def silent() -> bool | None:

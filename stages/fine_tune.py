@@ -1,5 +1,6 @@
 """Fit background, pose and shape to each test photograph (paper 3.2.4)."""
 
+from argparse import Namespace
 from pathlib import Path
 
 from torch import Tensor
@@ -10,14 +11,20 @@ from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.files import save_tensors, write_json
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.full_model import load_full_model
-from pipeline.training.checkpoint import Checkpoint, restart_key
+from pipeline.training.checkpoint import Checkpoint, reserved, restart_key
 from pipeline.training.fine_tune import FineTuneConfig, fine_tune
 from stages.command_line import parse, run
 
 
 def main() -> None:
-    """Reconstruct the test photographs, fine-tune each reconstruction, and write both with their losses."""
+    """Keep others from the restart states meanwhile."""
     arguments = parse(__doc__, images=Path, features=Path, model=Path, checkpoints=Path, out=Path, metrics=Path)
+    with reserved(arguments.checkpoints):
+        tune(arguments)
+
+
+def tune(arguments: Namespace) -> None:
+    """Reconstruct the test photographs, fine-tune each reconstruction, and write both with their losses."""
     config = load(arguments.params, FineTuneConfig, arguments.sections)
     device = resolve_device(scalar(arguments.params, "device"))
     memory = resolve_memory(scalar(arguments.params, "memory"))

@@ -14,7 +14,7 @@ from pipeline.launch import resolve_processes, share_work
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.scene_generator import scene_tensors, scene_texts
 from pipeline.training.base_shape import BaseShapeConfig, BaseShapes, learn_base_shape
-from pipeline.training.checkpoint import Checkpoint, restart_key
+from pipeline.training.checkpoint import Checkpoint, reserved, restart_key
 from stages.command_line import parse, run
 
 
@@ -25,7 +25,8 @@ def main() -> None:
     device = resolve_device(scalar(arguments.params, "device"))
     config = load(arguments.params, BaseShapeConfig, arguments.sections)
     processes = resolve_processes(scalar(arguments.params, "processes.learn_base_shape"), device, config.seeds)
-    share_work(processes, device, learn, config, arguments, device)
+    with reserved(arguments.checkpoints):
+        share_work(processes, device, learn, config, arguments, device)
 
 
 def learn(config: BaseShapeConfig, arguments: Namespace, device: torch.device) -> None:

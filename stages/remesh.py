@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from pipeline.config import load
+from pipeline.errors import MeshError
 from pipeline.files import load_tensors, save_tensors, write_json
 from pipeline.geometry.mesh_quality import measure_remeshing
 from pipeline.geometry.remeshing import IsotropicConfig, MappedMesh, remesh_isotropic
@@ -32,13 +33,20 @@ def main() -> None:
     tensors, _ = load_tensors(arguments.base_shape)
     chosen = choose_seed(arguments.chosen, tensors["seed_scores"].tolist(), arguments.base_shape.stem)
     base_shape = MappedMesh(tensors["seed_vertices"][chosen], tensors["faces"], tensors["directions"])
-    if config.method == "isotropic":
-        remeshed = remesh_isotropic(base_shape, config.isotropic, config.sphere_map)
-    else:
-        remeshed = remesh_by_silhouettes(base_shape, config.silhouette)
+    try:
+        remeshed = remesh(base_shape, config)
+    except MeshError as error:
+        raise MeshError(f"{arguments.base_shape}, base shape {chosen}: {error}") from None
     metrics = measure_remeshing(base_shape, remeshed)
     save_tensors(arguments.out, remeshed._asdict(), {"seed": str(chosen)})
     write_json(arguments.metrics, metrics)
+
+
+def remesh(base_shape: MappedMesh, config: RemeshConfig) -> MappedMesh:
+    """Remesh in the configured way."""
+    if config.method == "isotropic":
+        return remesh_isotropic(base_shape, config.isotropic, config.sphere_map)
+    return remesh_by_silhouettes(base_shape, config.silhouette)
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ from pipeline.distributed import is_first
 from pipeline.files import write_json
 from pipeline.launch import resolve_processes, share_work
 from pipeline.networks.feature_extractor import save_feature_extractor
-from pipeline.training.checkpoint import Checkpoint, restart_key
+from pipeline.training.checkpoint import Checkpoint, reserved, restart_key
 from pipeline.training.curves import Curve
 from pipeline.training.features import (
     FeaturesConfig,
@@ -32,7 +32,8 @@ def main() -> None:
     arguments = parse(__doc__, **paths, seed=int)
     device = resolve_device(scalar(arguments.params, "device"))
     processes = resolve_processes(scalar(arguments.params, "processes.train_features"), device, parts=1)
-    share_work(processes, device, train, arguments, device)
+    with reserved(arguments.checkpoints):
+        share_work(processes, device, train, arguments, device)
 
 
 def train(arguments: Namespace, device: torch.device) -> None:

@@ -15,7 +15,7 @@ from pipeline.launch import resolve_processes, share_work
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.full_model import full_model_texts
 from pipeline.networks.scene_generator import load_scenes
-from pipeline.training.checkpoint import Checkpoint, restart_key
+from pipeline.training.checkpoint import Checkpoint, reserved, restart_key
 from pipeline.training.full import load_base, train_full
 from pipeline.training.full_trainer import FullTrainer, FullTrainingConfig
 from stages.command_line import parse, run
@@ -27,7 +27,8 @@ def main() -> None:
     arguments = parse(__doc__, **paths, seed=int)
     device = resolve_device(scalar(arguments.params, "device"))
     processes = resolve_processes(scalar(arguments.params, "processes.train_full"), device, parts=1)
-    share_work(processes, device, train, arguments, device)
+    with reserved(arguments.checkpoints):
+        share_work(processes, device, train, arguments, device)
 
 
 def train(arguments: Namespace, device: torch.device) -> None:

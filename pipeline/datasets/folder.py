@@ -1,5 +1,6 @@
 """Users' own photographs: `train/<category>/*` and `test/<category>/*` in a folder or an archive."""
 
+import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -30,16 +31,20 @@ class FolderConfig:
 
 
 def read_folder(path: Path, config: FolderConfig) -> Iterator[Picture]:
-    """Read all pictures at `[anything/]<split>/<category>/<name>`, one at a time; other files are left out.
+    """Read all pictures at `[anything/]<split>/<category>/<name>`, one at a time; say what is left out.
 
     Raises DataError for a source or picture that cannot be used and, at the end, for a category without pictures in one
     split.
     """
     counts: dict[str, Counter[str]] = {split: Counter() for split in SPLITS}
+    others = _Others()
     with tqdm(desc=f"reading {path.name}", unit="", disable=None) as progress:
-        for name, content in read_tree(path, _is_wanted):
+        for name, content in read_tree(path, others.wanted):
             parts = name.parts if content is None else name.parts[:-1]
-            if len(parts) < 2 or parts[-2] not in counts or is_hidden(name):
+            if is_hidden(name):
+                continue
+            if len(parts) < 2 or parts[-2] not in counts:
+                others.note(name)
                 continue
             split, category = parts[-2:]
             if content is None and category in counts:
@@ -51,6 +56,7 @@ def read_folder(path: Path, config: FolderConfig) -> Iterator[Picture]:
                 progress.update()
                 yield Picture(split, category, name.name, pixels)
     _require_all(path, counts)
+    others.tell(path)
 
 
 def category_of(name: PurePosixPath) -> str | None:
@@ -65,9 +71,34 @@ def is_hidden(name: PurePath) -> bool:
     return any(part.startswith((".", "__MACOSX")) for part in name.parts)
 
 
-def _is_wanted(name: PurePosixPath) -> bool:
-    """Whether a file is a picture, or a folder may be a category's: an empty one is to be noticed."""
-    return name.suffix.lower() in ENDINGS or (len(name.parts) > 1 and name.parts[-2] in SPLITS)
+class _Others:
+    """Files that may have been meant as pictures of a category but are none, by their ending or their place."""
+
+    def __init__(self) -> None:
+        self.count, self.first = 0, PurePosixPath()
+
+    def wanted(self, name: PurePosixPath) -> bool:
+        """Whether a file is a picture, or a folder may be a category's: an empty one is to be noticed."""
+        if name.suffix.lower() in ENDINGS or (len(name.parts) > 1 and name.parts[-2] in SPLITS):
+            return True
+        if name.suffix and not is_hidden(name):
+            self.note(name)
+        return False
+
+    def note(self, name: PurePosixPath) -> None:
+        """Count a file, if it lies in a category's folder or deeper."""
+        if name.suffix and any(part in SPLITS for part in name.parts[:-2]):
+            self.first = self.first if self.count else name
+            self.count += 1
+
+    def tell(self, path: Path) -> None:
+        """Say on the terminal what was left out."""
+        if self.count:
+            tqdm.write(
+                f"{path}: left out {self.count} files, such as {self.first}; pictures are read at "
+                f"train/<category>/<name> and test/<category>/<name>, with one of {' '.join(sorted(ENDINGS))}",
+                file=sys.stderr,
+            )
 
 
 def _require_all(path: Path, counts: Mapping[str, Counter[str]]) -> None:

@@ -46,11 +46,15 @@ Images = UInt8[Tensor, "N 3 H W"] | MappedImages
 def load_images(path: Path) -> UInt8[Tensor, "N 3 H W"]:
     """Map the RGB pictures that `prepare_data` wrote into memory: what is used of them is read from disk.
 
-    The tensor is not contiguous. Raises DataError where the file is missing.
+    The tensor is not contiguous. Raises DataError where the file is missing or damaged.
     """
     if not path.is_file():
         raise DataError(f"{path} does not exist; run prepare_data for its dataset first, or check the category's name")
-    return torch.from_numpy(np.load(path, mmap_mode="c")).permute(0, 3, 1, 2)
+    try:
+        pictures = np.load(path, mmap_mode="c", allow_pickle=False)
+    except (EOFError, ValueError):
+        raise DataError(f"{path} is damaged; copy it again, or run prepare_data for its dataset") from None
+    return torch.from_numpy(pictures).permute(0, 3, 1, 2)
 
 
 def load_images_of_size(path: Path, size: int) -> UInt8[Tensor, "N 3 size size"]:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import BadZipFile
 
 import numpy
 import torch
@@ -9,6 +10,7 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from pipeline.datasets.images import load_images
+from pipeline.errors import DataError
 from pipeline.files import load_tensors, read_json
 from pipeline.geometry.camera import Pose, fill_picture, pose_from_tensor
 from pipeline.networks.pose_coordinates import Framing
@@ -99,15 +101,25 @@ def load_photographs(path: Path, index: Int[Tensor, " B"]) -> Float[Tensor, "B 3
 
 
 def load_true_split(folder: Path, split: str, category: str) -> Truth | None:
-    """Read the ground truth of one split of a category, or return None where the dataset has none for it."""
+    """Read the ground truth of one split of a category, or return None where the dataset has none for it.
+
+    Raises DataError for a damaged file.
+    """
     if category not in read_json(folder / "index.json"):
         return None
-    with numpy.load(folder / split / f"{category}.npz", allow_pickle=False) as stored:
-        tensors = {name: torch.from_numpy(stored[name]) for name in stored.files}
+    tensors = _read_arrays(folder / split / f"{category}.npz")
     pose = Pose(*(tensors[name] for name in Pose._fields))
     if "vertices" not in tensors:
         return Truth(pose, None)
     return Truth(pose, TrueObjects(tensors["masks"].bool(), tensors["vertices"], tensors["faces"].long()))
+
+
+def _read_arrays(path: Path) -> dict[str, Tensor]:
+    try:
+        with path.open("rb") as stream, numpy.load(stream, allow_pickle=False) as stored:
+            return {name: torch.from_numpy(stored[name]) for name in stored.files}
+    except (BadZipFile, EOFError, ValueError):
+        raise DataError(f"{path} is damaged; copy it again, or run prepare_data for its dataset") from None
 
 
 def select(truth: Truth, index: Int[Tensor, " B"]) -> Truth:

@@ -1,9 +1,13 @@
 """Keep the state of a training so that a killed one resumes and ends with the same bytes."""
 
+import fcntl
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+import os
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +15,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 from torch.optim import Optimizer
+from tqdm import tqdm
 
-from pipeline.distributed import from_first, is_first
+from pipeline.distributed import from_first, is_first, leads
 from pipeline.errors import DataError, TrainingDiverged
 from pipeline.files import load_tensors, save_tensors, sha256
 
@@ -38,7 +43,7 @@ class Checkpoint:
         return Checkpoint(self._folder, self._key, f"-{name}")
 
     def load(self) -> tuple[dict[str, Tensor], dict[str, Any]] | None:
-        """Return the saved tensors, on the CPU, and values; None where there are none or their key differs."""
+        """Return the saved tensors, on the CPU, and values; None, with a word, where their key differs."""
         return from_first(self._read() if is_first() else None)
 
     def save(self, tensors: Mapping[str, Tensor], values: Mapping[str, Any]) -> None:
@@ -58,7 +63,39 @@ class Checkpoint:
             tensors, texts = load_tensors(self._path)
         except DataError:
             raise DataError(f"the restart state {self._path} is damaged; remove it to train anew") from None
-        return (tensors, json.loads(texts["values"])) if texts["key"] == self._key else None
+        if texts["key"] != self._key:
+            tqdm.write(
+                f"{self._path} is left out: it is of other code, settings or inputs, and training starts anew",
+                file=sys.stderr,
+            )
+            return None
+        return tensors, json.loads(texts["values"])
+
+
+@contextmanager
+def reserved(folder: Path) -> Iterator[None]:
+    """Keep others from the restart states in a folder until the block or its process ends, however that happens.
+
+    Of processes that share a training the first one keeps it for all. Raises DataError, naming the process, where
+    another has them: the stage of a `dvc repro` that was killed may still be at work.
+    """
+    if not leads():
+        yield
+        return
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / "lock").open("a+") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            lock.seek(0)
+            raise DataError(
+                f"process {lock.read()} already trains with the restart states in {folder}; wait for it, or end it "
+                "and run the same command again"
+            ) from None
+        lock.truncate(0)
+        lock.write(str(os.getpid()))
+        lock.flush()
+        yield
 
 
 def restart_key(

@@ -4,6 +4,7 @@ import numpy
 import pytest
 import torch
 
+from pipeline.errors import DataError
 from pipeline.evaluation.artifacts import load_photographs, load_reconstructions, load_true_split, select
 from pipeline.files import save_tensors, write_json
 from pipeline.geometry.camera import Pose
@@ -41,6 +42,14 @@ def test_truth_of_chosen_pictures(truth_folder: Path) -> None:
 
 def test_category_without_truth_has_none(truth_folder: Path) -> None:
     assert load_true_split(truth_folder, "test", "horse") is None
+
+
+@pytest.mark.parametrize("kept", [0, 100, 700])
+def test_damaged_truth_is_named(truth_folder: Path, kept: int) -> None:
+    path = truth_folder / "test" / "car.npz"
+    path.write_bytes(path.read_bytes()[:kept])
+    with pytest.raises(DataError, match=r"car\.npz is damaged; copy it again, or run prepare_data"):
+        load_true_split(truth_folder, "test", "car")
 
 
 def test_photographs_are_chosen_and_channels_first(tmp_path: Path) -> None:

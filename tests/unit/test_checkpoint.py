@@ -1,5 +1,8 @@
 """A training stopped anywhere and resumed ends with the same bits."""
 
+import os
+import subprocess
+import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +13,7 @@ from torch import Tensor, nn
 from torch.optim import SGD, Adam, Optimizer
 
 from pipeline.errors import DataError, TrainingDiverged
-from pipeline.training.checkpoint import Checkpoint, pack, read_losses, restart_key, unpack
+from pipeline.training.checkpoint import Checkpoint, pack, read_losses, reserved, restart_key, unpack
 
 
 def adam(parameters: Iterable[nn.Parameter]) -> Optimizer:
@@ -122,6 +125,30 @@ def test_parts_that_do_not_match_are_refused() -> None:
         unpack({"model.weight": torch.ones(1, 2)}, model=nn.Linear(2, 1))
     with pytest.raises(KeyError, match="best"):
         unpack({}, best=torch.ones(2))
+
+
+def test_a_state_of_other_settings_is_left_out_with_a_word(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    Checkpoint(tmp_path, "before").save({"best": torch.ones(2)}, {})
+    assert Checkpoint(tmp_path, "before").load() is not None
+    assert capsys.readouterr().err == ""
+    assert Checkpoint(tmp_path, "now").load() is None
+    assert "state.safetensors is left out: it is of other code, settings or inputs" in capsys.readouterr().err
+
+
+HOLD = "import sys, time; from pathlib import Path; from pipeline.training.checkpoint import reserved\n\
+with reserved(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"
+
+
+def test_restart_states_are_one_process_s_until_it_ends(tmp_path: Path) -> None:
+    with subprocess.Popen([sys.executable, "-c", HOLD, str(tmp_path)], stdout=subprocess.PIPE, text=True) as other:
+        assert other.stdout is not None
+        assert other.stdout.readline() == "held\n"
+        with pytest.raises(DataError, match=f"^process {other.pid} already trains with the restart states in"):
+            reserved(tmp_path).__enter__()
+        other.kill()
+    for _ in range(2):
+        with reserved(tmp_path):
+            assert (tmp_path / "lock").read_text() == str(os.getpid())
 
 
 @dataclass(frozen=True)

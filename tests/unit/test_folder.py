@@ -2,6 +2,7 @@
 
 import io
 from collections import Counter
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ def test_two_pictures_of_one_name_are_refused(tmp_path: Path) -> None:
         write_pictures(tmp_path / "out", read_folder(write_folder(tmp_path / "in", files), CONFIG))
 
 
-def test_an_outer_folder_and_other_files_do_no_harm(tmp_path: Path) -> None:
+def test_an_outer_folder_and_other_files_do_no_harm(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = {f"photographs/{name}": content for name, content in tree().items()}
     files |= {
         "photographs/README.md": b"ours",
@@ -44,6 +45,18 @@ def test_an_outer_folder_and_other_files_do_no_harm(tmp_path: Path) -> None:
     assert Counter((picture.split, picture.category) for picture in pictures) == {
         (split, category): 2 for split in ("train", "test") for category in ("car", "horse")
     }
+    assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("write", [write_folder, write_tar])
+def test_what_may_have_been_meant_as_a_picture_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], write: Callable[[Path, dict[str, bytes]], Path]
+) -> None:
+    files = tree() | {"train/car/3.gif": noise(1), "test/car/more/4.jpg": noise(2), "labels.csv": b"", "notes.jpg": b""}
+    assert len(list(read_folder(write(tmp_path / "pictures.tar", files), CONFIG))) == len(tree())
+    told = capsys.readouterr().err
+    assert "left out 2 files, such as t" in told
+    assert "3.gif" in told or "4.jpg" in told
 
 
 @pytest.mark.parametrize("around", ["test", "train"])

@@ -8,7 +8,7 @@ import torch
 
 from pipeline.datasets.images import MappedImages, load_images, place_images
 from pipeline.device import resolve_memory
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, DataError
 
 CPU = torch.device("cpu")
 PICTURE = 3 * 4 * 4
@@ -44,6 +44,15 @@ def test_a_mapped_file_is_never_changed(tmp_path: Path, parts: list[torch.Tensor
     before = (tmp_path / "car.npy").read_bytes()
     parts[0].zero_()
     assert (tmp_path / "car.npy").read_bytes() == before
+
+
+@pytest.mark.parametrize("kept", [0, 60, 140])
+def test_a_damaged_file_is_named(tmp_path: Path, parts: list[torch.Tensor], kept: int) -> None:
+    assert len(parts) == 2
+    content = (tmp_path / "car.npy").read_bytes()
+    (tmp_path / "car.npy").write_bytes(content[:kept])
+    with pytest.raises(DataError, match=r"car\.npy is damaged; copy it again, or run prepare_data"):
+        load_images(tmp_path / "car.npy")
 
 
 @pytest.mark.parametrize("wrong", [0, -1, True, "8 GB", None])
