@@ -2,7 +2,13 @@
 
 import os
 
+import pytest
 import torch
 
 if not torch.cuda.is_available():
     os.environ["TRITON_INTERPRET"] = "1"
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put slow tests first, so that processes that share the tests end together."""
+    items.sort(key=lambda item: "slow" not in item.keywords)

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from pipeline.rendering.compiled import njit, prange
-from pipeline.rendering.rasterize_cpu import pixel_points
+from pipeline.rendering.rasterize_cpu import pixel_points, put
 
 
 @njit()
@@ -161,7 +161,7 @@ def blend(
     """Move pixels towards their neighbours by the shares that edges cut off, of no pixel more than all."""
     blended = np.empty_like(colors)
     for picture in prange(len(colors)):
-        blended[picture] = colors[picture]
+        put(colors[picture], blended[picture])
         slots = np.argwhere(codes[picture] >= 0)
         taken = taken_shares(slots, codes[picture], excesses[picture])
         for slot in slots:
@@ -213,7 +213,7 @@ def blend_backward(
     size = colors.shape[2]
     color_gradient, vertex_gradient = np.empty_like(colors), np.zeros_like(vertices_ndc)
     for picture in prange(len(colors)):
-        color_gradient[picture] = gradient[picture]
+        put(gradient[picture], color_gradient[picture])
         slots = np.argwhere(codes[picture] >= 0)
         taken = taken_shares(slots, codes[picture], excesses[picture])
         slopes, weighted = np.zeros(len(slots)), np.zeros((size, size))
@@ -236,5 +236,5 @@ def blend_backward(
             slope = (slopes[index] - common) * np.sign(excesses[picture, slot[0], slot[1], slot[2]])
             code = codes[picture, slot[0], slot[1], slot[2]]
             move_edge(slot, code, slope, points, edges, size, total)
-        vertex_gradient[picture] = total
+        put(total[None], vertex_gradient[picture : picture + 1])
     return color_gradient, vertex_gradient

@@ -67,16 +67,18 @@ def draw_face(
 
 @njit()
 @no_type_check
-def write_barycentric_coordinates(
+def write_pixels(
     points: Float[np.ndarray, "V 3"],
     faces: Int[np.ndarray, "F 3"],
+    drawn: Int[np.ndarray, "H W+lanes"],
     face_index: Int[np.ndarray, "H W"],
     barycentric: Float[np.ndarray, "H W 3"],
 ) -> None:
-    """Write perspective-correct barycentric coordinates of pixel centres on their faces, 0 in the background."""
+    """Write faces and perspective-correct barycentric coordinates of pixel centres on them, 0 in the background."""
     for row in range(len(face_index)):
         for column in range(len(face_index)):
-            face, weights = face_index[row, column], barycentric[row, column]
+            face, weights = drawn[row, column], barycentric[row, column]
+            face_index[row, column] = face
             if face < 0:
                 weights[0], weights[1], weights[2] = 0.0, 0.0, 0.0
             else:
@@ -106,9 +108,18 @@ def rasterize(
             a, b, c = points[faces[face, 0]], points[faces[face, 1]], points[faces[face, 2]]
             x, y, nearness = (a[0], b[0], c[0]), (a[1], b[1], c[1]), (a[2], b[2], c[2])
             draw_face(face, x, y, nearness, nearest, drawn)
-        face_index[picture] = drawn[:, :size]
-        write_barycentric_coordinates(points, faces, face_index[picture], barycentric[picture])
+        write_pixels(points, faces, drawn, face_index[picture], barycentric[picture])
     return face_index, barycentric
+
+
+@njit()
+@no_type_check
+def put(source: Float[np.ndarray, "C H W"], target: Float[np.ndarray, "C H W"]) -> None:
+    """Copy an array into another: an assignment would compile the words of its errors too, as slowly as a kernel."""
+    for channel in range(source.shape[0]):
+        for row in range(source.shape[1]):
+            for column in range(source.shape[2]):
+                target[channel, row, column] = source[channel, row, column]
 
 
 @njit()
@@ -161,5 +172,5 @@ def barycentric_backward(
                 if face >= 0:
                     center = ((2 * column + 1) / size - 1.0, 1.0 - (2 * row + 1) / size)
                     add_vertex_gradient(faces[face], center, vertices, gradient[picture, row, column], total)
-        vertex_gradient[picture] = total
+        put(total[None], vertex_gradient[picture : picture + 1])
     return vertex_gradient

@@ -305,13 +305,14 @@ def test_poses_that_leave_their_ranges_are_led_back() -> None:
 
 
 def train_with_known_poses(images: Tensor, poses: Tensor, iterations: int) -> FullTrainer:
-    """Train on photographs whose poses are recorded, without a search for shapes."""
+    """Train on photographs whose poses are recorded, without a search."""
     extractor = tiny_extractor()
+    searched = ("random_poses", "turned_poses", "raised_poses", "flipped_poses", "perturbed_poses")
     config = replace(
         TRAINING,
         iterations=iterations,
         learning_rate=3e-3,
-        exploration=replace(TRAINING.exploration, shapes=None),
+        exploration=replace(TRAINING.exploration, shapes=None, **dict.fromkeys(searched, 0)),
         photographs_per_iteration=float(len(images)),
     )
     trainer = FullTrainer(config, Photographs(images, extractor, 4, MEMORY), extractor, base_mesh(), 0)
@@ -321,6 +322,7 @@ def train_with_known_poses(images: Tensor, poses: Tensor, iterations: int) -> Fu
     return trainer
 
 
+@pytest.mark.slow
 def test_predicted_shapes_differ_as_the_photographed_ones_do() -> None:
     poses = tiny_model().poses.draw(48, generator(2))
     shape = torch.zeros(48, tiny_model().shapes.parameter_count)
@@ -344,6 +346,7 @@ def learned_width(photographed: float) -> Tensor:
     return proportions(trainer.model.shapes.base().detach()[None])[0, 0]
 
 
+@pytest.mark.slow
 def test_the_base_shape_learns_what_all_photographs_share() -> None:
     wide, narrow = learned_width(2.0), learned_width(-2.0)
     given = proportions(base_mesh().vertices[:1])[0, 0]

@@ -9,10 +9,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from numba.core.caching import UserProvidedCacheLocator
 from ruamel.yaml import YAML
 from ruamel.yaml.nodes import ScalarNode
 from ruamel.yaml.representer import SafeRepresenter
 
+from pipeline.rendering.compiled import config
 from tests.fresh_params import write_fresh_params
 
 ROOT = Path(__file__).parents[2]
@@ -79,9 +81,10 @@ TINY: dict[str, Any] = {
 
 
 def make_tiny_project(folder: Path) -> None:
-    """Copy the code (with its compiled kernels) and the graph, shrink the numbers and set up DVC."""
+    """Copy the code and the graph, shrink the numbers and set up DVC."""
     for package in ("pipeline", "stages"):
-        shutil.copytree(ROOT / package, folder / package)
+        shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("kernels-*"))
+    _share_kernels(folder)
     (folder / "data" / "raw").mkdir(parents=True)
     for path in (ROOT / "dvc.yaml", ROOT / ".dvcignore", *ROOT.glob("data/raw/*.safetensors")):
         shutil.copy(path, folder / path.relative_to(ROOT))
@@ -92,6 +95,19 @@ def make_tiny_project(folder: Path) -> None:
     replace(params, TINY)
     write_params(folder, params)
     run(folder, "dvc", "init", "--quiet", "--no-scm")
+
+
+def _share_kernels(folder: Path) -> None:
+    """Let numba compile for the repository and the copy at once: it keeps kernels by the place of their code."""
+    compiled = Path(config.CACHE_DIR)  # pyright: ignore[reportAttributeAccessIssue]
+    ours, theirs = (
+        UserProvidedCacheLocator.get_suitable_cache_subpath(str(root / "pipeline" / "rendering" / "kernels.py"))
+        for root in (ROOT, folder)
+    )
+    (compiled / ours).mkdir(parents=True, exist_ok=True)
+    link = folder / "pipeline" / "rendering" / "__pycache__" / compiled.name / theirs
+    link.parent.mkdir(parents=True)
+    link.symlink_to(compiled / ours)
 
 
 def replace(values: dict[str, Any], changes: Mapping[str, Any]) -> None:
