@@ -51,14 +51,15 @@ def share_work(processes: int, device: torch.device, function: Callable[..., Non
 def resolve_processes(processes: object, device: torch.device, parts: int) -> int:
     """Turn a number or `auto` into the number of processes that share a stage's work.
 
-    `auto` is one for each GPU, or for as many of them as are a power of two, by which batches divide. On a CPU two
-    processes pay where the work has independent `parts`, such as seeds; a shared batch is faster on the threads of one
-    (docs/decisions/processes.md).
+    `auto` is one for each GPU where the work has independent `parts`, such as seeds; else for as many GPUs as are a
+    power of two, by which batches divide. On a CPU two processes pay where there are parts; a shared batch is faster on
+    the threads of one (docs/decisions/processes.md).
     Raises ConfigError for anything else.
     """
     if processes == "auto":
         if device.type == "cuda":
-            return _power_of_two(torch.cuda.device_count())
+            gpus = torch.cuda.device_count()
+            return min(gpus, parts) if parts > 1 else _power_of_two(gpus)
         return min(2, parts, torch.get_num_threads())
     if type(processes) is not int or processes < 1:
         raise ConfigError(f"processes is {processes!r}; expected auto or a whole number from 1")

@@ -1,7 +1,8 @@
 """Where Triton's kernels run in tests, and how; run as a program, compile them all for a GPU and print their names."""
 
 import inspect
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from itertools import product
 from typing import Any
 
 import pytest
@@ -9,6 +10,7 @@ import torch
 import triton
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
+from triton.runtime import interpreter
 
 from pipeline.rendering import (
     antialias_triton,
@@ -23,25 +25,46 @@ from pipeline.rendering.rasterize import Fragments
 DEVICE = torch.device("cuda" if torch.cuda.is_available() else "cpu")
 MODULES = (rasterize_triton, interpolate_triton, texture_triton, crossings_triton, antialias_triton)
 LARGE = {"FACES": 512, "BOX_SAMPLES": 64, "SAMPLES": 4096, "EDGES": 512, "PIXELS": 4096}
+SMALL = {"FACES": 8, "BOX_SAMPLES": 4, "SAMPLES": 16, "EDGES": 8, "PIXELS": 16}
 INTEGERS = ("faces", "edges", "edge_faces", "face_index", "nearest", "crossings")
 OTHERS = {"outlines": "*fp64", "boxes": "*i32"}
 CONSTANTS = {
-    "size": 128,
-    "nearest_depth": 1e-3,
-    "first_pass": True,
-    "box_block": 32,
-    "block": 64,
-    "channels": 4,
-    "attributes_learn": True,
-    "pi": 3.14159,
+    "size": (128,),
+    "nearest_depth": (1e-3,),
+    "first_pass": (True, False),
+    "box_block": (32,),
+    "block": (64,),
+    "channels": (4,),
+    "attributes_learn": (True, False),
+    "pi": (3.14159,),
 }
+"""Their values: what a condition leaves out is not compiled, so both of those that are true or false."""
 
 
 def enlarge_programs(monkeypatch: pytest.MonkeyPatch) -> None:
     """Use few, large programs in the interpreter, which takes its time for each."""
+    if DEVICE.type == "cpu":
+        resize_programs(monkeypatch, LARGE)
+
+
+def resize_programs(monkeypatch: pytest.MonkeyPatch, sizes: Mapping[str, int]) -> None:
+    """Give the programs of all kernels blocks of these sizes."""
+    for module in MODULES:
+        for name in sizes.keys() & vars(module).keys():
+            monkeypatch.setattr(module, name, sizes[name])
+
+
+def reverse_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the interpreter start with the last picture: what is written beyond one's end then stays in the next."""
+    builder = interpreter.interpreter_builder
+    place = builder.set_grid_idx
+    monkeypatch.setattr(builder, "set_grid_idx", lambda x, y, z: place(builder.grid_dim[0] - 1 - x, y, z))
+
+
+def launch_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Spare the interpreter the kernels, whose results are then whatever was in memory."""
     for module in MODULES if DEVICE.type == "cpu" else ():
-        for name in LARGE.keys() & vars(module).keys():
-            monkeypatch.setattr(module, name, LARGE[name])
+        monkeypatch.setattr(module, "launch", lambda *_: None)
 
 
 def draw_with_triton(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -79,10 +102,12 @@ def kind_of(name: str) -> str:
 def compile_for_gpu(kernel: Any) -> None:
     """Compile for a Hopper GPU, without fused multiply-adds: the faces at edges depend on it."""
     signature = {name: kind_of(name) for name in kernel.arg_names}
-    constants = {(place,): CONSTANTS[name] for place, name in enumerate(kernel.arg_names) if name in CONSTANTS}
-    source, target = ASTSource(kernel, signature, constants), GPUTarget("cuda", 90, 32)
-    compiled = triton.compile(source, target=target, options={"enable_fp_fusion": False})
-    assert "fma" not in compiled.asm["ptx"]
+    places = [(place,) for place, name in enumerate(kernel.arg_names) if name in CONSTANTS]
+    for values in product(*(CONSTANTS[name] for name in kernel.arg_names if name in CONSTANTS)):
+        source = ASTSource(kernel, signature, dict(zip(places, values, strict=True)))
+        target = GPUTarget("cuda", 90, 32)
+        compiled = triton.compile(source, target=target, options={"enable_fp_fusion": False})
+        assert "fma" not in compiled.asm["ptx"]
 
 
 if __name__ == "__main__":

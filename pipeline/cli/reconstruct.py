@@ -1,5 +1,6 @@
 """Photographs to textured meshes, with the model of a run."""
 
+import errno
 import hashlib
 import tempfile
 from collections.abc import Sequence
@@ -39,6 +40,8 @@ PAGE = "index.html"
 """Shows the meshes in the folder of outputs, first those of the last call."""
 PAGED = ("mesh", "picture", "pose")
 """Outputs that a photograph needs to be on the page."""
+_OF_ONE_NAME = {errno.EACCES, errno.ENAMETOOLONG, errno.ENOENT}
+"""What a file system refuses for a photograph or a name, and may grant for others."""
 _SEEN_SIZE = 256
 """Of what is kept of a photograph, in pixels, at most."""
 
@@ -84,7 +87,7 @@ def reconstruct(
     if "video" in outputs:
         encoder()  # not missed only after the first photograph
     model, settings = load_full_model(run.model, device), _load_settings(run)
-    config, painting, fit, report = settings
+    config, painting, fit, _ = settings
     way = _way(run, settings, steps)
     _require_same_way(out, way)
     waiting, failures = _waiting(tasks, outputs)
@@ -99,18 +102,27 @@ def reconstruct(
                 continue
             write_json(out / RECORD, way)
             for task, found in zip(readable, find(images.to(device), model, extractor), strict=True):
-                shown = _painted(found, task, model, fit, painting) if steps.paint else found
-                task.claim()
-                write_outputs(task.target, shown, model, report, outputs)
-                if "picture" in outputs:
-                    write_png(task.target.file("_photograph.png"), _seen(task, fit, _SEEN_SIZE))
-                written += 1
+                try:
+                    shown = _painted(found, task, model, fit, painting) if steps.paint else found
+                    _write(task, shown, model, settings, outputs)
+                    written += 1
+                except (DataError, OSError) as error:
+                    if isinstance(error, OSError) and error.errno not in _OF_ONE_NAME:
+                        raise
+                    failures.append(f"{task.photograph}: {error}")
                 progress.update()
     latest = {task.target for task in tasks}
     done = sorted(find_targets(out, PAGED), key=lambda target: target not in latest)
     if done:
         write_gallery(out / PAGE, done, model.config.renderer.camera)
     return Outcome(written, skipped, failures, out / PAGE if done else None)
+
+
+def _write(task: Task, found: Found, model: FullModel, settings: Settings, outputs: Sequence[str]) -> None:
+    task.claim()
+    write_outputs(task.target, found, model, settings.report, outputs)
+    if "picture" in outputs:
+        write_png(task.target.file("_photograph.png"), _seen(task, settings.fit, _SEEN_SIZE))
 
 
 def _load_settings(run: Run) -> Settings:

@@ -25,22 +25,22 @@ class Run:
     @property
     def model(self) -> Path:
         """The trained full model. Raises DataError where it has not been trained."""
-        return self._written(self.project / "models" / "full" / f"{self.name}.safetensors", "train_full")
+        return self._written(self.project / "models" / "full" / f"{self.name}.safetensors")
 
     @property
     def features(self) -> Path:
         """The feature extractor. Raises DataError where it has not been trained."""
         path = self.project / "models" / "features" / f"{self.features_name}.safetensors"
-        return self._written(path, "train_full")
+        return self._written(path)
 
     @property
     def page(self) -> Path:
         """The report's page. Raises DataError where it has not been written."""
-        return self._written(self.project / "results" / "report" / self.name / "index.html", "report")
+        return self._written(self.project / "results" / "report" / self.name / "index.html")
 
-    def _written(self, path: Path, stage: str) -> Path:
+    def _written(self, path: Path) -> Path:
         if not path.is_file():
-            raise DataError(f"{path} does not exist; make it with `dvc repro {stage}@{self.name}`")
+            raise DataError(f"{path} does not exist; make it with `make repro`, which brings all runs up to date")
         return path
 
 

@@ -163,8 +163,8 @@ def _evaluate_shape(
         split: {name: mean_figure(values) for name, values in columns[stage].items()} | correlations[stage]
         for stage, split in SPLITS.items()
     }
-    figures["base"] = shapes.base_figures(turn_vertices(learned.base, angle), learned.base_faces, rng)
-    if learned.final_base is not None:
+    if learned.final_base is not None:  # single-stage training takes none
+        figures["base"] = shapes.base_figures(turn_vertices(learned.base, angle), learned.base_faces, rng)
         final_base = turn_vertices(learned.final_base, angle)
         figures["final_base"] = shapes.base_figures(final_base, learned.reconstructions.faces, rng)
     constant_mask = fit_constant(training.masks)

@@ -102,8 +102,8 @@ class FullTrainingConfig:
                     )
         if self.settle == 1 and not (self.model.two_stage and self.first_poses):
             raise ConfigError(
-                "train_full.settle is 1, by which poses stay near their first ones, but there are no first_poses; "
-                "expected 0, or less than 1"
+                "train_full.settle is 1, by which poses stay near their first ones, but there are none: first_poses is "
+                "null, or model.two_stage false; expected 0, or less than 1, as in the ablation single-stage"
             )
 
 

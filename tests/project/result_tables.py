@@ -86,6 +86,7 @@ ABLATIONS = r"toybox-car(-no-.*|-fixed-base|-single-stage.*)?"
 CONSISTENCY = {
     "azimuths read within 30°": "multiview.acc_pi6",
     "error, °": "multiview.error_degrees",
+    "by its own network": "multiview.own_network.acc_pi6",
     "identity drift": "multiview.identity_drift",
     "drift of different objects": "multiview.chance.identity_drift",
 }
@@ -102,6 +103,21 @@ TABLES: dict[str, Table | Confusion] = {
             "chance": "pose.chance.acc_pi6",
             "turned by 180°": "pose.test.flipped",
             "median error, °": "pose.test.median_error_degrees",
+        },
+    ),
+    "mistakes": Table(
+        "",
+        WHOLE,
+        {
+            "turned by 180°": "pose.test.flipped",
+            "mirrored": "pose.test.mirrored",
+            "front and rear swapped": "pose.test.front_back",
+            "other": "pose.test.other",
+            "nearest side": "pose.test.seen_side",
+            "lengthwise or from a side": "pose.test.front_or_side",
+            "recorded: turned": "pose.train.flipped",
+            "mirrored, recorded": "pose.train.mirrored",
+            "median error recorded, °": "pose.train.median_error_degrees",
         },
     ),
     "shapes": Table(

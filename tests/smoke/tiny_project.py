@@ -27,7 +27,7 @@ TINY: dict[str, Any] = {
         "method": "rotation",
         "depth": 10,
         "width": 1,
-        "epochs": 6,
+        "epochs": 3,
         "batch_size": 16,
         "checkpoint_every": 1,
     },

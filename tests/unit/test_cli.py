@@ -306,7 +306,7 @@ def test_a_turntable_may_be_a_film(project: Path, tmp_path: Path) -> None:
         ),
         (["reconstruct", "x.jpg", "--run", "toybox-cat", "--out", "out"], r"has no run 'toybox-cat'.*toybox-car"),
         (["runs"], r"metrics has no figures of a run; make them with `make repro`"),
-        (["view"], r"index\.html does not exist; make it with `dvc repro report@toybox-car`"),
+        (["view"], r"index\.html does not exist; make it with `make repro`, which brings all runs up to date"),
     ],
 )
 def test_what_is_wrong_is_one_sentence(
@@ -377,6 +377,22 @@ def test_a_closed_pipe_is_no_error(project: Path) -> None:
     assert process.returncode == 141
 
 
+def test_a_name_that_is_too_long_for_what_is_written_stops_no_other(project: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "cars"
+    folder.mkdir()
+    names = [f"{letter * length}.png" for letter, length in (("a", 3), ("b", 232), ("c", 246), ("d", 3))]
+    for name in names:
+        shutil.copy(tmp_path / "car.png", folder / name)
+    with pytest.raises(SystemExit) as caught:
+        reconstruct(project, str(folder), "--outputs", "pose,picture")
+    lines = sorted(str(caught.value.code).splitlines())
+    assert [name in line and "File name too long" in line for name, line in zip(names[1:3], lines, strict=True)] == [
+        True,
+        True,
+    ]
+    assert {path.name for path in (project / "out").glob("*_pose.json")} >= {"aaa_pose.json", "ddd_pose.json"}
+
+
 def test_spaces_in_names_become_underscores(project: Path, tmp_path: Path) -> None:
     (tmp_path / "my cars").mkdir()
     shutil.copy(tmp_path / "car.png", tmp_path / "my cars/red  car.png")
@@ -424,9 +440,7 @@ def test_an_unknown_output_is_named(project: Path, capsys: pytest.CaptureFixture
 
 def test_an_untrained_model_names_the_command_that_trains_it(project: Path, tmp_path: Path) -> None:
     (project / "models/full/toybox-car.safetensors").unlink()
-    with pytest.raises(
-        SystemExit, match=r"toybox-car\.safetensors does not exist; make it with `dvc repro train_full@"
-    ):
+    with pytest.raises(SystemExit, match=r"toybox-car\.safetensors does not exist; make it with `make repro`"):
         reconstruct(project, str(tmp_path / "car.png"))
 
 

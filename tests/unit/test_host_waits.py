@@ -1,7 +1,7 @@
 """Within an iteration the host never waits for the device: it would, on a GPU, where a number or a size is asked for.
 
-Without a GPU the operations that would wait are noticed while Triton's interpreter draws; constants are made and
-topologies derived in a first iteration.
+Without a GPU, operations and reads that are known to wait there are noticed, whether Triton's interpreter draws or
+kernels are asked for and not run; constants are made and topologies derived in a first iteration.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -25,17 +25,24 @@ from pipeline.training.photographs import Photographs
 from pipeline.training.warm_up import draw_sample, warm_up_loss
 from tests.learning.test_base_shape import CONFIG as BASE_SHAPE
 from tests.tiny_full_model import MODEL, TRAINING, photographs, tiny_extractor, tiny_model, tiny_scenes
-from tests.triton_kernels import DEVICE, draw_with_triton, enlarge_programs
+from tests.triton_kernels import DEVICE, draw_with_triton, enlarge_programs, launch_nothing
 
 SMALL = RendererConfig(CameraConfig(2.7, 30.0), 8, 2)
-FEW = replace(TRAINING.exploration, perturbed_poses=1, flipped_poses=1, turned_poses=1)
+SINGLE_STAGE = {"two_stage": False, "mirror_texture": False, "stripes": False}
 aten = torch.ops.aten
 WAITING = {
+    aten._linalg_check_errors.default: "a solution was checked",
+    aten._linalg_eigh.default: "a solution was checked",
+    aten._linalg_svd.default: "a solution was checked",
     aten._local_scalar_dense.default: "a tensor became a number",
+    aten.allclose.default: "tensors were compared",
+    aten.bincount.default: "a size was computed",
     aten.equal.default: "tensors were compared",
+    aten.histc.default: "a range was computed",
     aten.is_nonzero.default: "a tensor became a truth value",
     aten.lift_fresh.default: "numbers became a tensor",
     aten.masked_select.default: "a mask chose entries",
+    aten.multinomial.default: "probabilities were checked",
     aten.nonzero.default: "entries were counted",
     aten.repeat_interleave.Tensor: "a size was computed",
     aten._unique2.default: "a size was computed",
@@ -61,9 +68,25 @@ class NoticeWaits(TorchDispatchMode):
         return func(*args, **(kwargs or {}))
 
 
+def notice_reads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Raise AssertionError where Python would read values of a GPU, or move them: on a CPU that is no operation."""
+
+    def read(*_: object, **__: object) -> None:
+        raise AssertionError("values were read")
+
+    def to(values: Tensor, *args: Any, **kwargs: Any) -> Tensor:
+        moved = any(isinstance(value, str | torch.device) for value in (*args, *kwargs.values()))
+        assert not moved, "values were moved"
+        return convert(values, *args, **kwargs)
+
+    convert = Tensor.to
+    for name, method in (("cpu", read), ("numpy", read), ("tolist", read), ("to", to)):
+        monkeypatch.setattr(Tensor, name, method)
+
+
 @contextmanager
 def no_waits() -> Iterator[None]:
-    """Fail where the host waits: noticed by PyTorch on a GPU, by the operations elsewhere."""
+    """Fail where the host waits: noticed by PyTorch on a GPU, by what is known to wait there elsewhere."""
     if DEVICE.type == "cuda":
         torch.cuda.set_sync_debug_mode("error")
         try:
@@ -71,7 +94,8 @@ def no_waits() -> Iterator[None]:
         finally:
             torch.cuda.set_sync_debug_mode("default")
         return
-    with NoticeWaits():
+    with NoticeWaits(), pytest.MonkeyPatch.context() as monkeypatch:
+        notice_reads(monkeypatch)
         yield
 
 
@@ -80,9 +104,9 @@ def large_programs(monkeypatch: pytest.MonkeyPatch) -> None:
     enlarge_programs(monkeypatch)
 
 
-def full_trainer() -> FullTrainer:
-    model = replace(MODEL, renderer=SMALL)
-    config = replace(TRAINING, model=model, batch_size=2, settle=0.0, exploration=FEW)
+def full_trainer(settle: float, changes: Mapping[str, Any]) -> FullTrainer:
+    model = replace(MODEL, renderer=SMALL, **changes)
+    config = replace(TRAINING, model=model, batch_size=2, settle=settle)
     images = photographs(4)[0][..., ::4, ::4].to(DEVICE)
     directions, faces = (part.to(DEVICE) for part in icosphere(1))
     extractor, base = tiny_extractor().to(DEVICE), Mesh(directions[None] / 2, faces, directions)
@@ -99,6 +123,18 @@ def full_trainer() -> FullTrainer:
         lambda values: values.nonzero(),
         lambda values: values.new_tensor([1.0, 2.0]),
         lambda values: torch.arange(3).repeat_interleave(values.long()),
+        lambda values: values.tolist(),
+        lambda values: values.numpy(),
+        lambda values: values.cpu(),
+        lambda values: values.to("cpu"),
+        lambda values: values.to(dtype=torch.float64, device=torch.device("cpu")),
+        lambda values: torch.allclose(values, values),
+        lambda values: values.long().bincount(),
+        lambda values: values.histc(2),
+        lambda values: values.multinomial(1),
+        lambda values: torch.linalg.solve(values.diag(), values),
+        lambda values: torch.linalg.eigh(values.diag()),
+        lambda values: torch.linalg.svd(values.diag()),
     ],
 )
 @pytest.mark.skipif(DEVICE.type == "cuda", reason="on a GPU PyTorch notices waits itself")
@@ -108,13 +144,20 @@ def test_waits_are_noticed(wait: Callable[[Tensor], object]) -> None:
         wait(values)
 
 
-def test_an_iteration_of_full_training_waits_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    trainer = full_trainer()
+@pytest.mark.parametrize("settle", [0.0, 0.75], ids=["exploring", "refining"])
+@pytest.mark.parametrize(
+    "changes", [{}, {"framing": "box", "shapes_from": "photographs"}, SINGLE_STAGE], ids=["free", "box", "single_stage"]
+)
+def test_an_iteration_of_full_training_waits_for_nothing(
+    monkeypatch: pytest.MonkeyPatch, settle: float, changes: Mapping[str, Any]
+) -> None:
+    trainer = full_trainer(settle, changes)
     trainer.step(0)
     draw_with_triton(monkeypatch)
+    launch_nothing(monkeypatch)
     with no_waits():
         losses = trainer.step(1)
-    assert all(loss.isfinite() for loss in losses.values())
+    assert DEVICE.type == "cpu" or all(loss.isfinite() for loss in losses.values())
 
 
 def test_an_iteration_of_base_shape_learning_waits_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
