@@ -1,5 +1,6 @@
 """Learning a category's base shape by matching distributions of renderings and photographs (paper 3.1)."""
 
+import gc
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -241,7 +242,10 @@ def learn_base_shape(
         if part + 1 < parts:
             return None
         rows = [{"seed": index, **row} for row in curve.rows]
-        return Learned(trainer.shape().cpu(), trainer.score(), trainer.scene.cpu(), rows)
+        learned = Learned(trainer.shape().cpu(), trainer.score(), trainer.scene.cpu(), rows)
+        del trainer
+        gc.collect()  # a recorded step refers to its trainer, and keeps a GPU's memory as long
+        return learned
 
     return _gather(sphere, [one for one in divide(learn, config.seeds * parts) if one is not None])
 
