@@ -106,8 +106,10 @@ def reconstruct(
                     shown = _painted(found, task, model, fit, painting) if steps.paint else found
                     _write(task, shown, model, settings, outputs)
                     written += 1
-                except (DataError, OSError) as error:
-                    if isinstance(error, OSError) and error.errno not in _OF_ONE_NAME:
+                except DataError as error:
+                    failures.append(str(error))
+                except OSError as error:
+                    if error.errno not in _OF_ONE_NAME:
                         raise
                     failures.append(f"{task.photograph}: {error}")
                 progress.update()

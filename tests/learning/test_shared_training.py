@@ -117,7 +117,9 @@ def test_a_batch_of_all_there_is_divides_among_processes(
     assert distributed.shared_batch(512, available) == shared
 
 
-@pytest.mark.parametrize(("gpus", "batches", "seeds"), [(1, 1, 1), (2, 2, 2), (3, 2, 3), (7, 4, 7), (16, 16, 10)])
+@pytest.mark.parametrize(
+    ("gpus", "batches", "seeds"), [(1, 1, 1), (2, 2, 2), (3, 2, 3), (4, 4, 4), (7, 4, 7), (8, 8, 8), (16, 16, 10)]
+)
 def test_auto_is_as_many_gpus_as_divide_batches_or_have_seeds(
     gpus: int, batches: int, seeds: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -17,7 +17,7 @@ CONFIG = replace(TRAINING.warm_up, iterations=300, batch_size=16, learning_rate=
 def test_warm_up_teaches_where_objects_are_in_unseen_renderings() -> None:
     model, scenes = tiny_model(), tiny_scenes().generators[0]
     # Easier than a real one, so that so few iterations teach something whatever the processor rounds.
-    config = replace(CONFIG, iterations=300, learning_rate=2e-3, paint=0.0, noise=0.02)
+    config = replace(CONFIG, iterations=500, learning_rate=2e-3, paint=0.0, noise=0.02)
     images, pose, _ = draw_sample(model, scenes, replace(config, batch_size=64), generator(1))
 
     def error_of_box() -> float:
@@ -27,7 +27,7 @@ def test_warm_up_teaches_where_objects_are_in_unseen_renderings() -> None:
 
     before = error_of_box()
     warm_up(model, scenes, config, generator(0))
-    assert error_of_box() < 0.85 * before
+    assert error_of_box() < 0.7 * before
     torch.testing.assert_close(model.shapes.base(), model.base_vertices)  # its own renderings cannot say it is wrong
 
 

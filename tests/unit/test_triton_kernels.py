@@ -102,6 +102,16 @@ def test_of_faces_in_one_place_the_first_is_seen() -> None:
     assert draw(corners, faces, 9).face_index.unique().tolist() == [-1, 0]
 
 
+def test_faces_do_not_depend_on_the_size_of_programs(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = Scene(1, 0, seed=3)
+    vertices_ndc = project(scene.mesh.vertices, scene.pose, CONFIG.camera)
+    expected = draw(vertices_ndc, scene.mesh.faces, 12)
+    resize_programs(monkeypatch, SMALL)
+    actual = draw(vertices_ndc, scene.mesh.faces, 12)
+    assert torch.equal(actual.face_index, expected.face_index)
+    assert torch.equal(actual.barycentric, expected.barycentric)
+
+
 def test_vertices_that_are_not_numbers_draw_nothing() -> None:
     vertices = torch.tensor([[[-1.0, -1.0, 2.0], [1.0, -1.0, 2.0], [-1.0, 1.0, 2.0]]]).repeat(3, 1, 1)
     vertices[torch.arange(3), torch.arange(3), torch.tensor([0, 1, 0])] = torch.nan
