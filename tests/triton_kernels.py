@@ -61,12 +61,6 @@ def reverse_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(builder, "set_grid_idx", lambda x, y, z: place(builder.grid_dim[0] - 1 - x, y, z))
 
 
-def launch_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Spare the interpreter the kernels, whose results are then whatever was in memory."""
-    for module in MODULES if DEVICE.type == "cpu" else ():
-        monkeypatch.setattr(module, "launch", lambda *_: None)
-
-
 def draw_with_triton(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let the renderer use the kernels for GPUs on every device."""
     replacements = {
