@@ -1,6 +1,7 @@
 """Within an iteration the host never waits for the device: it would, on a GPU, where a number or a size is asked for.
 
-Without a GPU, operations and reads that are known to wait there are noticed while Triton's interpreter draws; constants are made and topologies derived in a first iteration.
+Without a GPU, operations and reads that are known to wait there are noticed while Triton's interpreter draws;
+constants are made and topologies derived in a first iteration.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
