@@ -5,9 +5,11 @@ from collections.abc import Iterator, Mapping
 from itertools import product
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 import triton
+from torch import Tensor
 from triton.backends.compiler import GPUTarget
 from triton.compiler import ASTSource
 from triton.runtime import interpreter
@@ -59,6 +61,33 @@ def reverse_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     builder = interpreter.interpreter_builder
     place = builder.set_grid_idx
     monkeypatch.setattr(builder, "set_grid_idx", lambda x, y, z: place(builder.grid_dim[0] - 1 - x, y, z))
+
+
+def stay_in_arguments(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Raise AssertionError where a kernel, in the interpreter, reads or writes outside the tensors it was given."""
+    ends: list[tuple[int, int]] = []
+
+    def note_tensors(executor: interpreter.GridExecutor, *arguments: Any) -> Any:
+        tensors, named = prepare(executor, *arguments)
+        given = [tensor for tensor in (*tensors, *named.values()) if isinstance(tensor, Tensor)]
+        ends[:] = [(tensor.data_ptr(), tensor.data_ptr() + tensor.nbytes) for tensor in given]
+        return tensors, named
+
+    def guard(name: str, pointers: int, mask: int) -> None:
+        def access(*arguments: Any) -> Any:
+            places = arguments[pointers].data[arguments[mask].data]
+            inside = [(start <= places) & (places < end) for start, end in ends]
+            assert np.logical_or.reduce(inside).all(), "a kernel left its tensors"
+            return function(*arguments)
+
+        function = getattr(builder, name)
+        monkeypatch.setattr(builder, name, access)
+
+    builder, prepare = interpreter.interpreter_builder, interpreter.GridExecutor._init_args_hst
+    monkeypatch.setattr(interpreter.GridExecutor, "_init_args_hst", note_tensors)
+    guard("create_masked_load", 0, 1)
+    guard("create_masked_store", 0, 2)
+    guard("create_atomic_rmw", 1, 3)
 
 
 def draw_with_triton(monkeypatch: pytest.MonkeyPatch) -> None:

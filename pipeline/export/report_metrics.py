@@ -158,7 +158,8 @@ def metrics_section(figures: Mapping[str, Any], stage_figures: Mapping[str, Mapp
             for label, value, error, n in figure_rows(values)
         ]
         body += folded(_words(name), table(["figure", "value", "standard error", "n"], lines))
-    return Section("metrics", "All figures", "Every figure the stages wrote.", body)
+    introduction = "Every figure the stages wrote; kato3d runs puts those of all runs side by side."
+    return Section("metrics", "All figures", introduction, body)
 
 
 def _words(name: str) -> str:

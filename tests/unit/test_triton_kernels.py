@@ -35,6 +35,7 @@ from tests.triton_kernels import (
     enlarge_programs,
     resize_programs,
     reverse_pictures,
+    stay_in_arguments,
 )
 
 KERNELS = {
@@ -49,6 +50,7 @@ KERNELS = {
 @pytest.fixture(autouse=True)
 def large_programs(monkeypatch: pytest.MonkeyPatch) -> None:
     enlarge_programs(monkeypatch)
+    stay_in_arguments(monkeypatch)
 
 
 def on_device(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
