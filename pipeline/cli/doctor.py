@@ -7,11 +7,8 @@ from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import NamedTuple
 
-import torch
-
 from pipeline.cli.runs import find_run
 from pipeline.config import entries, scalar
-from pipeline.device import resolve_device, resolve_precision
 from pipeline.errors import UserError
 
 EXTRAS = ("", "pipeline")
@@ -69,6 +66,12 @@ def meshlab() -> Finding:
 
 def device(project: Path) -> Finding:
     """Say where computations run, and in which precision."""
+    try:
+        import torch
+
+        from pipeline.device import resolve_device, resolve_precision
+    except ImportError as error:
+        return Finding(False, "device", f"PyTorch does not load ({error}); {INSTALL}")
     try:
         chosen = resolve_device(scalar(project / "params.yaml", "device"))
         precision = resolve_precision(scalar(project / "params.yaml", "precision"), chosen)

@@ -1,6 +1,7 @@
 """Turntables: animations that every browser and viewer plays."""
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from pipeline.files import atomic_path
 
 def write_gif(path: Path, frames: Float[Tensor, "K 3 H W"], milliseconds: int) -> None:
     """Write an endless animation, atomically; a frame is shown for so many milliseconds."""
-    first, *others = [Image.fromarray(frame) for frame in _pixels(frames)]
+    with ThreadPoolExecutor() as pool:  # choosing 256 colours takes longer than rendering, and leaves Python's lock
+        first, *others = pool.map(_of_256_colors, _pixels(frames))
     with atomic_path(path) as temporary:
         first.save(temporary, "GIF", save_all=True, append_images=others, duration=milliseconds, loop=0)
 
@@ -43,6 +45,10 @@ def encoder() -> Callable[..., Any]:
             "'.[video]'`"
         ) from None
     return write_frames
+
+
+def _of_256_colors(frame: UInt8[np.ndarray, "H W 3"]) -> Image.Image:
+    return Image.fromarray(frame).convert("P", palette=Image.Palette.ADAPTIVE)
 
 
 def _pixels(frames: Float[Tensor, "K 3 H W"]) -> UInt8[np.ndarray, "K H W 3"]:

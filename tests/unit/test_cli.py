@@ -508,7 +508,7 @@ def test_doctor_names_an_entry_that_is_no_section(project: Path) -> None:
             main(["--project", str(project), "doctor"])
 
 
-@pytest.mark.parametrize("package", ["packaging", "pandas"])
+@pytest.mark.parametrize("package", ["packaging", "pandas", "torch"])
 def test_doctor_sees_that_what_it_uses_itself_is_missing(project: Path, package: str) -> None:
     code = f"""
 import sys
