@@ -1,21 +1,21 @@
 """The viewer of the report page: one WebGL canvas that shows one mesh at a time, turned by pointer, touch or keys."""
 
 import base64
-import io
 import zipfile
 from collections.abc import Sequence
 from html import escape
+from importlib.metadata import distribution
 from itertools import groupby
 from pathlib import Path
 from typing import NamedTuple
-
-from trimesh.resources import get_bytes
 
 from pipeline.errors import DataError
 from pipeline.export.report_page import Section, image
 from pipeline.geometry.camera import CameraConfig
 
 BEHAVIOUR = Path(__file__).with_name("viewer.js")
+TEMPLATE = "trimesh/resources/templates/viewer.zip"
+"""Found without importing trimesh, which takes longer than a photograph's way to a mesh."""
 LIBRARY_END = "THREE.GLTFLoader=GLTFLoader;})();"
 SURFACES = ("texture", "clay", "polygons")
 INTRODUCTION = (
@@ -80,7 +80,7 @@ def three_js() -> str:
 
     Raises DataError where the installed trimesh has another page.
     """
-    with zipfile.ZipFile(io.BytesIO(get_bytes("templates/viewer.zip"))) as archive:
+    with zipfile.ZipFile(str(distribution("trimesh").locate_file(TEMPLATE))) as archive:
         page = archive.read("viewer.html.template").decode("utf-8")
     library, found, _ = page.partition("<script>")[2].partition(LIBRARY_END)
     if not found:

@@ -151,11 +151,10 @@ def first_cells(text: str) -> dict[str, list[str]]:
     return {name: cells for name, *cells in rows}
 
 
-def test_a_trimesh_without_three_js_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    archive = io.BytesIO()
-    with zipfile.ZipFile(archive, "w") as file:
+def test_a_trimesh_without_three_js_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "viewer.zip", "w") as file:
         file.writestr("viewer.html.template", "<script>var camera</script>")
-    monkeypatch.setattr("pipeline.export.viewer.get_bytes", lambda _: archive.getvalue())
+    monkeypatch.setattr("pipeline.export.viewer.TEMPLATE", tmp_path / "viewer.zip")
     with pytest.raises(DataError, match=r"brings no three\.js .* install that of constraints\.txt"):
         three_js()
 
