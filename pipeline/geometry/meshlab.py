@@ -6,9 +6,9 @@
 import ctypes
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from importlib import import_module
-from threading import Thread
+from threading import Event, Thread
 
 import numpy as np
 import torch
@@ -32,13 +32,21 @@ def _filled_memory() -> Iterator[None]:
             fill(_M_PERTURB, 0)
 
 
+def _import_and_stay(imported: Event) -> None:
+    with suppress(ImportError):  # which is raised again where the module is used
+        import_module("pymeshlab")
+    imported.set()
+    Event().wait()
+
+
 # Release 2025.7 never sets a flag that it reads: where the memory it gets at its import holds zeros, isotropic
 # remeshing forgets the surface tolerance. glibc does not fill memory that a thread gets back from its own cache, so the
-# import runs in a new thread, whose cache is empty.
+# import runs in a new thread, whose cache is empty. That thread stays: Qt frees what it keeps of a thread when the
+# thread ends, and MeshLab's plugins use it once more when the process does.
 with _filled_memory():
-    _importing = Thread(target=import_module, args=("pymeshlab",))
-    _importing.start()
-    _importing.join()
+    _imported = Event()
+    Thread(target=_import_and_stay, args=(_imported,), daemon=True).start()
+    _imported.wait()
     import pymeshlab
 
 

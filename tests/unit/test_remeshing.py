@@ -2,6 +2,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Callable
+from ctypes.util import find_library
 from dataclasses import replace
 from pathlib import Path
 
@@ -54,6 +55,12 @@ def test_result_does_not_depend_on_what_memory_holds(before: str, fill: str, tmp
     subprocess.run([sys.executable, "-c", script], cwd=ROOT, env=zeros, check=True)
     again, _ = load_tensors(tmp_path / "mesh.safetensors")
     assert torch.equal(remeshed.vertices, again["vertices"])
+
+
+@pytest.mark.skipif(find_library("c_malloc_debug") is None, reason="of glibc's debugging malloc")
+def test_memory_is_sound_when_python_ends() -> None:
+    checked = {**os.environ, "LD_PRELOAD": "libc_malloc_debug.so.0", "MALLOC_CHECK_": "3"}
+    subprocess.run([sys.executable, "-c", "import pipeline.geometry.meshlab"], cwd=ROOT, env=checked, check=True)
 
 
 def test_result_is_symmetric_outward_and_the_same_every_time() -> None:
