@@ -1,7 +1,7 @@
 """Within an iteration the host never waits for the device: it would, on a GPU, where a number or a size is asked for.
 
-Without a GPU, operations and reads that are known to wait there are noticed while Triton's interpreter draws;
-constants are made and topologies derived in a first iteration.
+Without a GPU, operations and reads that are known to wait there are noticed, whether Triton's interpreter draws or
+kernels are asked for and not run; constants are made and topologies derived in a first iteration.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -20,15 +20,17 @@ from pipeline.geometry.sphere import build_sphere
 from pipeline.rendering.renderer import Mesh, RendererConfig
 from pipeline.seeding import generator
 from pipeline.training.base_shape import SeedTrainer
+from pipeline.training.candidates import ExplorationConfig
 from pipeline.training.full_trainer import FullTrainer
 from pipeline.training.photographs import Photographs
 from pipeline.training.warm_up import draw_sample, warm_up_loss
 from tests.learning.test_base_shape import CONFIG as BASE_SHAPE
 from tests.tiny_full_model import MODEL, TRAINING, photographs, tiny_extractor, tiny_model, tiny_scenes
-from tests.triton_kernels import DEVICE, draw_with_triton, enlarge_programs
+from tests.triton_kernels import DEVICE, draw_with_triton, enlarge_programs, launch_nothing
 
 SMALL = RendererConfig(CameraConfig(2.7, 30.0), 8, 2)
 FEW = replace(TRAINING.exploration, perturbed_poses=1, flipped_poses=1, turned_poses=1)
+SINGLE_STAGE = {"two_stage": False, "mirror_texture": False, "stripes": False}
 aten = torch.ops.aten
 WAITING = {
     aten._linalg_check_errors.default: "a solution was checked",
@@ -104,9 +106,11 @@ def large_programs(monkeypatch: pytest.MonkeyPatch) -> None:
     enlarge_programs(monkeypatch)
 
 
-def full_trainer() -> FullTrainer:
-    model = replace(MODEL, renderer=SMALL)
-    config = replace(TRAINING, model=model, batch_size=2, settle=0.0, exploration=FEW)
+def full_trainer(
+    settle: float, changes: Mapping[str, Any], exploration: ExplorationConfig = TRAINING.exploration
+) -> FullTrainer:
+    model = replace(MODEL, renderer=SMALL, **changes)
+    config = replace(TRAINING, model=model, batch_size=2, settle=settle, exploration=exploration)
     images = photographs(4)[0][..., ::4, ::4].to(DEVICE)
     directions, faces = (part.to(DEVICE) for part in icosphere(1))
     extractor, base = tiny_extractor().to(DEVICE), Mesh(directions[None] / 2, faces, directions)
@@ -144,8 +148,23 @@ def test_waits_are_noticed(wait: Callable[[Tensor], object]) -> None:
         wait(values)
 
 
-def test_an_iteration_of_full_training_waits_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
-    trainer = full_trainer()
+@pytest.mark.parametrize("settle", [0.0, 0.75], ids=["exploring", "refining"])
+@pytest.mark.parametrize(
+    "changes", [{}, {"framing": "box", "shapes_from": "photographs"}, SINGLE_STAGE], ids=["free", "box", "single_stage"]
+)
+def test_an_iteration_of_full_training_waits_for_nothing(
+    monkeypatch: pytest.MonkeyPatch, settle: float, changes: Mapping[str, Any]
+) -> None:
+    trainer = full_trainer(settle, changes)
+    trainer.step(0)
+    draw_with_triton(monkeypatch)
+    launch_nothing(monkeypatch)
+    with no_waits():
+        trainer.step(1)
+
+
+def test_an_iteration_of_full_training_that_draws_has_finite_losses(monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer = full_trainer(0.0, {}, FEW)
     trainer.step(0)
     draw_with_triton(monkeypatch)
     with no_waits():
