@@ -15,8 +15,8 @@ from pipeline.evaluation.image_metrics import image_columns, image_figures
 from pipeline.evaluation.multiview import MultiviewConfig
 from pipeline.evaluation.pose_metrics import baseline_figures, pose_columns, pose_figures
 from pipeline.evaluation.retrieval import retrieve
-from pipeline.evaluation.shape import fit_constant, iou, vertex_deviation
-from pipeline.evaluation.shape_metrics import ShapeMetricsConfig, TrueShapes, silhouettes
+from pipeline.evaluation.shape import iou, vertex_deviation
+from pipeline.evaluation.shape_metrics import ShapeMetricsConfig, TrueShapes, constant_mask_figure, silhouettes
 from pipeline.evaluation.statistics import Figure, mean_figure
 from pipeline.geometry.camera import Pose, pose_from_tensor
 from pipeline.networks.feature_extractor import FeatureExtractor
@@ -68,6 +68,20 @@ class ChainResult(NamedTuple):
     renderer: RendererConfig
 
 
+class PoseEstimates(NamedTuple):
+    """Poses in a frame that may be turned about the vertical axis against that of the truth.
+
+    Attributes:
+        training: of training pictures.
+        training_index: position of each of these pictures in the training split.
+        test: of all test pictures, by the section of the metrics that they are measured in.
+    """
+
+    training: Pose
+    training_index: Int[Tensor, " N"]
+    test: Mapping[str, Pose]
+
+
 Columns = dict[str, Tensor]
 
 
@@ -117,30 +131,36 @@ def evaluate_truth(
     `training` is the whole training split: what is typical of it does not depend on which pictures the run visited. The
     learned frame is first turned about +y by the angle that suits the recorded poses of those that it did visit best.
     """
-    angle = fit_alignment(training.pose.at(learned.training_index), learned.training_pose)
-    pose, pose_table = _evaluate_pose(learned, training, test, angle, config)
-    alignment = {"degrees": math.degrees(angle), "n": len(learned.training_index)}
+    predicted = {stage: getattr(learned.reconstructions, stage).pose for stage in STAGES}
+    by_split = {SPLITS[stage]: pose for stage, pose in predicted.items()}
+    estimates = PoseEstimates(learned.training_pose, learned.training_index, by_split)
+    angle, figures = measure_poses(training.pose, test.pose, estimates, config)
     truth = {"truth_azimuth": torch.rad2deg(test.pose.azimuth), "truth_elevation": torch.rad2deg(test.pose.elevation)}
-    figures, table = {"alignment": alignment, "pose": pose}, {**truth, **pose_table}
+    columns = {stage: pose_columns(test.pose, turn_pose(pose, angle)) for stage, pose in predicted.items()}
+    table = {**truth, **_flatten(columns)}
     if training.objects is not None and test.objects is not None:
         figures["shape"], shape_table = _evaluate_shape(learned, training.objects, test.objects, angle, config)
         table |= shape_table
     return figures, table
 
 
-def _evaluate_pose(
-    learned: ChainResult, training: Truth, test: Truth, angle: float, config: EvaluateConfig
-) -> tuple[dict[str, Any], Columns]:
+def measure_poses(
+    training: Pose, test: Pose, estimates: PoseEstimates, config: EvaluateConfig
+) -> tuple[float, dict[str, Any]]:
+    """Fit the turn that takes estimates to the truth, on those of training pictures, and measure all of them by it.
+
+    `training` and `test` are the true poses of whole splits. Returns the turn in radians, and the sections `alignment`
+    and `pose` of the metrics.
+    """
+    visited = training.at(estimates.training_index)
+    angle = fit_alignment(visited, estimates.training)
     rng = generator(config.seed, "evaluate pose")
-    figures: dict[str, Any] = baseline_figures(test.pose, training.pose, config.chance_draws, rng)
-    visited = training.pose.at(learned.training_index)
-    figures["train"] = pose_figures(visited, turn_pose(learned.training_pose, angle), rng)
-    columns = {}
-    for stage, split in SPLITS.items():
-        estimate = turn_pose(getattr(learned.reconstructions, stage).pose, angle)
-        figures[split] = pose_figures(test.pose, estimate, rng)
-        columns[stage] = pose_columns(test.pose, estimate)
-    return figures, _flatten(columns)
+    figures: dict[str, Any] = baseline_figures(test, training, config.chance_draws, rng)
+    figures["train"] = pose_figures(visited, turn_pose(estimates.training, angle), rng)
+    for split, estimate in estimates.test.items():
+        figures[split] = pose_figures(test, turn_pose(estimate, angle), rng)
+    alignment = {"degrees": math.degrees(angle), "n": len(estimates.training_index)}
+    return angle, {"alignment": alignment, "pose": figures}
 
 
 def _evaluate_shape(
@@ -153,7 +173,7 @@ def _evaluate_shape(
     for stage in STAGES:
         reconstruction: Snapshot = getattr(learned.reconstructions, stage)
         vertices = turn_vertices(reconstruction.vertices, angle)
-        columns[stage] = shapes.columns(vertices, learned.reconstructions.faces, rng)
+        columns[stage] = shapes.columns(vertices, [learned.reconstructions.faces], rng)
         correlations[stage] = shapes.proportion_figures(vertices)
         masks = silhouettes(
             reconstruction, learned.reconstructions.faces, learned.reconstructions.directions, learned.renderer
@@ -167,10 +187,9 @@ def _evaluate_shape(
         figures["base"] = shapes.base_figures(turn_vertices(learned.base, angle), learned.base_faces, rng)
         final_base = turn_vertices(learned.final_base, angle)
         figures["final_base"] = shapes.base_figures(final_base, learned.reconstructions.faces, rng)
-    constant_mask = fit_constant(training.masks)
     figures["constant"] = {
         "voxel_iou": shapes.constant_figure(),
-        "mask_iou": mean_figure(iou(constant_mask.expand_as(test.masks), test.masks)),
+        "mask_iou": constant_mask_figure(training.masks, test.masks),
     }
     return figures, _flatten(columns)
 

@@ -26,11 +26,12 @@ def image_columns(
         feature_distance(extractor(photograph), extractor(image))
         for photograph, image in zip(photographs.split(batch_size), images.split(batch_size), strict=True)
     ]
-    return {
-        "feature_distance": torch.cat(distances),
-        "psnr": psnr(photographs, images),
-        "ssim": ssim(photographs, images),
-    }
+    return {"feature_distance": torch.cat(distances), **pixel_columns(photographs, images)}
+
+
+def pixel_columns(photographs: Float[Tensor, "B 3 H W"], images: Float[Tensor, "B 3 H W"]) -> Columns:
+    """Compare images with photographs without a network, one row a picture: PSNR in decibels, SSIM."""
+    return {"psnr": psnr(photographs, images), "ssim": ssim(photographs, images)}
 
 
 def image_figures(predicted: Columns, tuned: Columns, retrieved: Columns) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 """The shape section of a run's metrics: volumes, surfaces and masks against the ground truth (design: Evaluate)."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,17 +46,19 @@ class TrueShapes:
         self.mean_shape: Bool[Tensor, "K K K"] = occupied.double().mean(0) >= 0.5
         self.constant: Bool[Tensor, "K K K"] = fit_constant(occupied)
 
-    def columns(self, vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], rng: torch.Generator) -> Columns:
+    def columns(
+        self, vertices: Float[Tensor, "B V 3"], faces: Sequence[Int[Tensor, "_ 3"]], rng: torch.Generator
+    ) -> Columns:
         """Compare one shape per picture, already in the frame of the truth, with the picture's true shape.
 
-        Shapes are scaled into the unit cube again, because turning them may have changed their bounding box.
+        `faces` are those that all shapes share, or one entry a shape. Shapes are scaled into the unit cube again,
+        because turning them may have changed their bounding box.
         """
-        fitted = fit_unit_cube(vertices)
-        voxels = voxelize(fitted, faces, self._config.voxel_resolution)
-        points = sample_outer_surface(fitted, faces, voxels, self._config.surface_points, rng)
+        parts = zip(vertices.split(len(vertices) // len(faces)), faces, strict=True)
+        voxels, points = zip(*(self._sample(shapes, own, rng) for shapes, own in parts), strict=True)
         return {
-            "voxel_iou": iou(voxels, self.voxels),
-            "chamfer_l1": _chamfer_in_parts(points, self.points),
+            "voxel_iou": iou(torch.cat(voxels), self.voxels),
+            "chamfer_l1": _chamfer_in_parts(torch.cat(points), self.points),
         }
 
     def proportion_figures(self, vertices: Float[Tensor, "B V 3"]) -> dict[str, Figure]:
@@ -71,9 +74,7 @@ class TrueShapes:
         self, base: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], rng: torch.Generator
     ) -> dict[str, Any]:
         """Compare the one base shape, already aligned, with every test picture's shape and with the mean shape."""
-        fitted = fit_unit_cube(base[None])
-        voxels = voxelize(fitted, faces, self._config.voxel_resolution)
-        points = sample_outer_surface(fitted, faces, voxels, self._config.surface_points, rng)
+        voxels, points = self._sample(base[None], faces, rng)
         return {
             "voxel_iou": mean_figure(iou(voxels.expand_as(self.voxels), self.voxels)),
             "chamfer_l1": mean_figure(_chamfer_in_parts(points.expand_as(self.points), self.points)),
@@ -83,6 +84,19 @@ class TrueShapes:
     def constant_figure(self) -> Figure:
         """Compare the one shape that suits the training split best with every test picture's shape."""
         return mean_figure(iou(self.constant.expand_as(self.voxels), self.voxels))
+
+    def _sample(
+        self, vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], rng: torch.Generator
+    ) -> tuple[Bool[Tensor, "B K K K"], Float[Tensor, "B count 3"]]:
+        """Scale shapes into the unit cube; return the voxels that they fill, and points on their surfaces."""
+        fitted = fit_unit_cube(vertices)
+        voxels = voxelize(fitted, faces, self._config.voxel_resolution)
+        return voxels, sample_outer_surface(fitted, faces, voxels, self._config.surface_points, rng)
+
+
+def constant_mask_figure(training: Bool[Tensor, "N H W"], truth: Bool[Tensor, "B H W"]) -> Figure:
+    """Compare the one mask that suits the training split best with every test picture's mask."""
+    return mean_figure(iou(fit_constant(training).expand_as(truth), truth))
 
 
 def silhouettes(
