@@ -1,4 +1,4 @@
-"""The command line: `kato3d arrange`, `kato3d reconstruct`, `kato3d view`, `kato3d runs` and `kato3d doctor`."""
+"""The command line: `kato3d arrange`, `reconstruct`, `view`, `runs`, `benchmark` and `doctor`."""
 
 import signal
 import sys
@@ -87,6 +87,14 @@ def _parser() -> ArgumentParser:
     view.set_defaults(command=_view)
     runs = commands.add_parser("runs", help="write and open one table of all runs' figures")
     runs.set_defaults(command=_runs)
+    benchmark = commands.add_parser("benchmark", help="measure another method's predictions as a run is measured")
+    benchmark.add_argument(
+        "predictions", type=Path, metavar="PREDICTIONS", help="an .npz file; docs/benchmark.md says what it holds"
+    )
+    benchmark.add_argument("--category", required=True, help="of which pictures they are, such as car")
+    benchmark.add_argument("--dataset", default="toybox", help="to which these belong; default: %(default)s")
+    benchmark.add_argument("--out", type=Path, required=True, help="file of the figures to write, such as car.json")
+    benchmark.set_defaults(command=_benchmark)
     doctor = commands.add_parser("doctor", help="say what is installed and found, and what is missing")
     doctor.set_defaults(command=_doctor)
     return parser
@@ -164,6 +172,15 @@ def _runs(arguments: Namespace) -> None:
 def _open(page: Path) -> None:
     if not webbrowser.open(page.resolve().as_uri()):
         print(f"open {page.resolve()}")
+
+
+def _benchmark(arguments: Namespace) -> None:
+    from pipeline.cli.benchmark import benchmark
+    from pipeline.evaluation.tables import format_figures
+
+    predictions, project, out = arguments.predictions, arguments.project, arguments.out
+    print(format_figures(benchmark(predictions, project, arguments.dataset, arguments.category, out)))
+    print(f"written to {out}")
 
 
 def _doctor(arguments: Namespace) -> None:

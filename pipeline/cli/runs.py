@@ -1,4 +1,4 @@
-"""Where the artifacts of a run lie; dvc.yaml writes them there."""
+"""Where the artifacts of a run, and prepared datasets, lie; dvc.yaml writes them there."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -58,3 +58,16 @@ def find_run(project: Path, name: str | None) -> Run:
         raise ConfigError(f"{params} has no run '{name}'{nearest(name, runs)}; `make run ROW=...` turns one on")
     size, dataset, features = (scalar(params, f"runs.{name}.{key}") for key in ("size", "dataset", "features"))
     return Run(project, name, size, dataset, features)
+
+
+def truth_folder(project: Path, dataset: str) -> Path:
+    """Return the ground truth of a dataset. Raises DataError where it has not been prepared."""
+    folder = project / "data" / "truth" / dataset
+    if not folder.is_dir():
+        raise DataError(f"{folder} does not exist; make it with `dvc repro prepare_data@{dataset}`")
+    return folder
+
+
+def photographs_file(project: Path, dataset: str, split: str, category: str) -> Path:
+    """Return where the pictures of one split of a category are."""
+    return project / "data" / "prepared" / dataset / split / f"{category}.npy"

@@ -9,7 +9,7 @@ import pytest
 from ruamel.yaml import YAML
 
 from pipeline.cli.measured_runs import measured_runs
-from pipeline.cli.runs import Run
+from pipeline.cli.runs import Run, photographs_file, truth_folder
 from pipeline.files import write_json
 from tests.project.import_closure import ROOT, code_dependencies, import_closure, stage_bodies
 
@@ -115,6 +115,10 @@ def test_the_command_looks_where_stages_write(tmp_path: Path) -> None:
         path.touch()
         assert getattr(run, artifact) == path
         assert file.removesuffix("/index.html") in _outs(stage)
+    (tmp_path / "data/truth/${key}").mkdir(parents=True)
+    assert truth_folder(tmp_path, "${key}").relative_to(tmp_path).as_posix() in _outs("prepare_data")
+    file = photographs_file(tmp_path, "${item.dataset}", "test", "${item.category}")
+    assert file.relative_to(tmp_path).as_posix() in STAGES["evaluate"]["deps"]
     assert "results/metrics/${key}.json" in _outs("evaluate")
     write_json(tmp_path / "results/metrics/car.json", {"reconstruction": {}})
     write_json(tmp_path / "results/metrics/car-colmap.json", {"multiview": {}})

@@ -1,0 +1,34 @@
+"""Another method's predictions for a category's pictures, measured as a run is."""
+
+from pathlib import Path
+from typing import Any
+
+from pipeline.cli.runs import photographs_file, truth_folder
+from pipeline.config import load, nearest
+from pipeline.datasets.images import load_images
+from pipeline.errors import ConfigError, DataError
+from pipeline.evaluation.artifacts import load_true_split
+from pipeline.evaluation.benchmark import benchmark_figures
+from pipeline.evaluation.evaluate import EvaluateConfig
+from pipeline.evaluation.predictions import Counts, read_predictions
+from pipeline.files import read_json, write_json
+
+
+def benchmark(predictions: Path, project: Path, dataset: str, category: str, out: Path) -> dict[str, Any]:
+    """Write the figures of a file of predictions as JSON, and return them.
+
+    Raises ConfigError for a category whose truth is not known, and DataError for an `out` that is no name of a JSON
+    file, a dataset that is not prepared, and predictions that cannot be measured.
+    """
+    if out.suffix != ".json" or out.is_dir():
+        raise DataError(f"{out} cannot be written; name a file that ends in .json")
+    config = load(project / "params.yaml", EvaluateConfig, ["evaluate"])
+    folder = truth_folder(project, dataset)
+    training, test = (load_true_split(folder, split, category) for split in ("train", "test"))
+    if training is None or test is None:
+        raise ConfigError(f"{folder} has no category '{category}'{nearest(category, read_json(folder / 'index.json'))}")
+    photographs = load_images(photographs_file(project, dataset, "test", category))
+    counts = Counts(len(training.pose.azimuth), len(photographs), photographs.shape[-1])
+    figures = benchmark_figures(read_predictions(predictions, counts), training, test, photographs, config)
+    write_json(out, figures)
+    return figures
