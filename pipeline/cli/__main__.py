@@ -41,9 +41,10 @@ def _ended_by_signals() -> Iterator[None]:
 
 def _parser() -> ArgumentParser:
     parser = ArgumentParser("kato3d", description="Single photographs to textured meshes, with a trained model.")
-    parser.add_argument("--project", type=Path, default=Path(), help="folder of params.yaml; default: this one")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    reconstruct = commands.add_parser("reconstruct", help="turn photographs into meshes")
+    project = ArgumentParser(add_help=False)
+    project.add_argument("--project", type=Path, default=Path(), help="folder of params.yaml; default: this one")
+    reconstruct = commands.add_parser("reconstruct", parents=[project], help="turn photographs into meshes")
     reconstruct.add_argument(
         "photographs",
         type=Path,
@@ -82,12 +83,14 @@ def _parser() -> ArgumentParser:
         help="photographs whose short side is below it are left out; default: %(default)s",
     )
     arrange.set_defaults(command=_arrange)
-    view = commands.add_parser("view", help="open the page of a run")
+    view = commands.add_parser("view", parents=[project], help="open the page of a run")
     view.add_argument("--run", help="default: the first run in params.yaml")
     view.set_defaults(command=_view)
-    runs = commands.add_parser("runs", help="write and open one table of all runs' figures")
+    runs = commands.add_parser("runs", parents=[project], help="write and open one table of all runs' figures")
     runs.set_defaults(command=_runs)
-    benchmark = commands.add_parser("benchmark", help="measure another method's predictions as a run is measured")
+    benchmark = commands.add_parser(
+        "benchmark", parents=[project], help="measure another method's predictions as a run is measured"
+    )
     benchmark.add_argument(
         "predictions", type=Path, metavar="PREDICTIONS", help="an .npz file; docs/benchmark.md says what it holds"
     )
@@ -95,7 +98,9 @@ def _parser() -> ArgumentParser:
     benchmark.add_argument("--dataset", default="toybox", help="to which these belong; default: %(default)s")
     benchmark.add_argument("--out", type=Path, required=True, help="file of the figures to write, such as car.json")
     benchmark.set_defaults(command=_benchmark)
-    doctor = commands.add_parser("doctor", help="say what is installed and found, and what is missing")
+    doctor = commands.add_parser(
+        "doctor", parents=[project], help="say what is installed and found, and what is missing"
+    )
     doctor.set_defaults(command=_doctor)
     return parser
 

@@ -125,7 +125,7 @@ def measure(project: Path, folder: Path, predictions: Mapping[str, np.ndarray], 
 
 def benchmark(project: Path, file: Path, *words: str) -> Any:
     out = file.with_suffix(".json")
-    main(["--project", str(project), "benchmark", str(file), "--category", "car", "--out", str(out), *words])
+    main(["benchmark", "--project", str(project), str(file), "--category", "car", "--out", str(out), *words])
     return json.loads(out.read_text())
 
 

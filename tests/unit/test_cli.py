@@ -56,7 +56,7 @@ def project(tmp_path: Path) -> Path:
 
 def reconstruct(project: Path, *words: str) -> list[str]:
     out = project / "out"
-    main(["--project", str(project), "reconstruct", *words, "--out", str(out)])
+    main(["reconstruct", "--project", str(project), *words, "--out", str(out)])
     return sorted(path.relative_to(out).as_posix() for path in out.rglob("*") if path.suffix)
 
 
@@ -314,7 +314,7 @@ def test_what_is_wrong_is_one_sentence(
 ) -> None:
     monkeypatch.chdir(project)
     with pytest.raises(SystemExit, match=r"^error: .*" + message):
-        main(["--project", str(project), *words])
+        main([*words, "--project", str(project)])
     assert not (project / "out").exists()
 
 
@@ -368,7 +368,7 @@ def test_a_name_of_spaces_becomes_one(tmp_path: Path) -> None:
 
 
 def test_a_closed_pipe_is_no_error(project: Path) -> None:
-    words = [sys.executable, "-m", "pipeline.cli", "--project", str(project), "doctor"]
+    words = [sys.executable, "-m", "pipeline.cli", "doctor", "--project", str(project)]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stdout is not None
         assert process.stderr is not None
@@ -450,7 +450,7 @@ def test_view_opens_the_page(project: Path, monkeypatch: pytest.MonkeyPatch) -> 
     page.touch()
     opened: list[str] = []
     monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
-    main(["--project", str(project), "view"])
+    main(["view", "--project", str(project)])
     assert opened == [page.resolve().as_uri()]
 
 
@@ -464,7 +464,7 @@ def test_runs_writes_and_opens_a_table_of_all_runs(project: Path, monkeypatch: p
             page.touch()
     opened: list[str] = []
     monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
-    main(["--project", str(project), "runs"])
+    main(["runs", "--project", str(project)])
     page = project / "results/report/index.html"
     assert opened == [page.resolve().as_uri()]
     text = page.read_text()
@@ -474,7 +474,7 @@ def test_runs_writes_and_opens_a_table_of_all_runs(project: Path, monkeypatch: p
 
 def test_doctor_names_what_is_missing(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as exit_:
-        main(["--project", str(project), "doctor"])
+        main(["doctor", "--project", str(project)])
     assert exit_.value.code == 1
     lines = capsys.readouterr().out.splitlines()
     missing = [line for line in lines if line.startswith("MISSING")]
@@ -489,7 +489,7 @@ def test_doctor_needs_no_runs(project: Path, capsys: pytest.CaptureFixture[str])
     settings = YAML().load(params)
     settings |= {"runs": None, "datasets": None}
     YAML().dump(settings, params)
-    main(["--project", str(project), "doctor"])
+    main(["doctor", "--project", str(project)])
     assert "MISSING" not in capsys.readouterr().out
 
 
@@ -505,7 +505,7 @@ def test_doctor_names_an_entry_that_is_no_section(project: Path) -> None:
     ):
         YAML().dump(YAML().load(whole) | {section: broken}, params)
         with pytest.raises(SystemExit, match=words):
-            main(["--project", str(project), "doctor"])
+            main(["doctor", "--project", str(project)])
 
 
 @pytest.mark.parametrize("package", ["packaging", "pandas", "torch"])
@@ -520,7 +520,7 @@ def version(name):
     return real(name)
 real, doctor.version = doctor.version, version
 from pipeline.cli.__main__ import main
-main(["--project", {str(project)!r}, "doctor"])
+main(["doctor", "--project", {str(project)!r}])
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 1, done.stderr
