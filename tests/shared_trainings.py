@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import torch
@@ -16,10 +17,11 @@ from pipeline.distributed import is_first, world
 from pipeline.files import save_tensors, write_json
 from pipeline.geometry.sphere import build_sphere
 from pipeline.networks.scene_generator import scene_tensors
+from pipeline.training import ends
 from pipeline.training.base_shape import SeedTrainer, learn_base_shape
 from pipeline.training.candidates import Record
 from pipeline.training.checkpoint import Checkpoint
-from pipeline.training.ends import EndsConfig
+from pipeline.training.ends import consistent_axes
 from pipeline.training.features import FeatureTrainer
 from pipeline.training.first_poses import first_poses
 from pipeline.training.full import train_full
@@ -75,7 +77,7 @@ def learn_seeds(folder: Path) -> None:
 
 
 def train(folder: Path, dying: int | None) -> None:
-    """Train the full model; the first process writes it. Process `dying` kills itself before the last step."""
+    """Train the full model in float64; the first process writes it. Process `dying` dies before the last step."""
     step = FullTrainer.step
 
     def deadly(self: FullTrainer, iteration: int) -> dict[str, Tensor]:
@@ -85,11 +87,13 @@ def train(folder: Path, dying: int | None) -> None:
 
     if world().rank == dying:
         FullTrainer.step = deadly
-    images, _ = photographs(8)
-    checkpoint = Checkpoint(folder / "full", "key")
-    trainer, curve = train_full(TRAINING, images, MEMORY, tiny_extractor(), base_mesh(), tiny_scenes(), 0, checkpoint)
+    with double_precision():
+        (images, _), checkpoint = photographs(8), Checkpoint(folder / "full", "key")
+        extractor = tiny_extractor()
+        trainer, curve = train_full(TRAINING, images, MEMORY, extractor, base_mesh(), tiny_scenes(), 0, checkpoint)
     if is_first():
-        save_tensors(folder / "full.safetensors", {**trainer.model.state_dict(), "pose": trainer.record.pose}, {})
+        record = {"pose": trainer.record.pose, "shape": trainer.record.shape, "visits": trainer.visits}
+        save_tensors(folder / "full.safetensors", {**trainer.model.state_dict(), **record}, {})
         curve.write(folder / "full.csv")
 
 
@@ -136,8 +140,16 @@ def _ends() -> dict[str, Tensor]:
     config, extractor = replace(TRAINING, lessons=replace(TRAINING.lessons, iterations=1)), tiny_extractor()
     trainer = FullTrainer(config, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
     trainer.record, trainer.visits = Record(poses, trainer.record.shape), trainer.visits + 1
-    trainer.turn_round(EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 75.0, 3, 4.0, 2, 60))
-    return {**_weights("ends", trainer.model), "ends record": trainer.record.pose}
+    with patch.object(ends, "consistent_axes", _axes_of_a_device_that_rounds_differently):
+        trainer.turn_round(ends.EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 75.0, 3, 4.0, 2, 60))
+    drawn = {"ends rng": trainer.rng.get_state()}
+    return {**_weights("ends", trainer.model), **drawn, "ends record": trainer.record.pose}
+
+
+def _axes_of_a_device_that_rounds_differently(*arguments: Any) -> Tensor:
+    """Return axes whose sides are too few to tell ends by, in all processes but the first."""
+    turn = consistent_axes(*arguments)
+    return turn if is_first() else torch.tensor([1, 0]).to(turn).expand_as(turn).clone()
 
 
 def _full() -> dict[str, Tensor]:

@@ -28,7 +28,7 @@ from torch import Tensor
 from torch.nn import functional
 from tqdm import tqdm
 
-from pipeline.distributed import is_first
+from pipeline.distributed import agree, is_first
 from pipeline.errors import ConfigError
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.pose_coordinates import PoseCoordinates
@@ -102,6 +102,7 @@ def tell_ends(
     images = cut_to_box(photographs / 255, poses, coordinates, config.box_size, poses.roll(coordinates))
     features = paintless_features(images, extractor, config.components, config.repainting_floor, rng)
     turn = consistent_axes(features, recorded[:, :2], config, rng)
+    agree([turn])  # or one process might count fewer sides, draw nothing below, and draw other batches from here on
     to_the_right = turn[:, 1:] < 0
     odd = torch.where(to_the_right, -1, 1) * (features[0] - features[1])
     slant = -turn[:, 0].asin()

@@ -1,8 +1,11 @@
 """Two processes that share a training do what one does, hold the same state, and resume when one was killed."""
 
 import re
+import shutil
 from pathlib import Path
+from unittest.mock import patch
 
+import numpy as np
 import pytest
 import torch
 
@@ -10,6 +13,8 @@ from pipeline import distributed
 from pipeline.errors import ConfigError, ProcessKilled
 from pipeline.files import load_tensors, read_json
 from pipeline.launch import resolve_processes, share_work
+from pipeline.training.checkpoint import Checkpoint
+from pipeline.training.full_trainer import FullTrainer
 from tests.shared_trainings import SEEDS, take_steps, train
 from tests.tiny_full_model import TRAINING
 
@@ -43,11 +48,16 @@ def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_steps_are_those_of_a_single_process(one: Path, two: Path) -> None:
     alone, _ = load_tensors(one / "0.safetensors")
-    shared, _ = load_tensors(two / "0.safetensors")
-    assert alone.keys() == shared.keys()
-    difference = {name: _difference(name, alone, shared) for name in alone if not WITHOUT_EFFECT.search(name)}
-    assert {name: value for name, value in difference.items() if value > ROUNDING} == {}
+    assert _differences(one / "0.safetensors", two / "0.safetensors") == {}
     assert alone["near record.visits"].sum() == alone["everything record.visits"].sum() == TRAINING.batch_size
+
+
+def _differences(alone: Path, shared: Path) -> dict[str, float]:
+    """Return which tensors of two files differ by more than rounding, and how much."""
+    (first, _), (second, _) = load_tensors(alone), load_tensors(shared)
+    assert first.keys() == second.keys()
+    found = {name: _difference(name, first, second) for name in first if not WITHOUT_EFFECT.search(name)}
+    return {name: value for name, value in found.items() if value > ROUNDING}
 
 
 def _difference(name: str, alone: dict[str, torch.Tensor], shared: dict[str, torch.Tensor]) -> float:
@@ -79,14 +89,35 @@ def test_processes_take_equally_many_steps_of_three_seeds(one: Path, two: Path) 
     assert {read_json(two / f"{rank}.steps.json") for rank in range(2)} == {SEEDS.seeds * SEEDS.iterations // 2}
 
 
-def test_a_killed_process_ends_the_training_which_resumes_to_the_same_bytes(two: Path, tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def killed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Kill one of two processes that train the full model."""
+    folder = tmp_path_factory.mktemp("killed")
     with pytest.raises(ProcessKilled, match="process 1 of 2 was killed"):
-        share_work(2, CPU, train, tmp_path, 1)
-    assert (tmp_path / "full" / "state.safetensors").exists()
-    assert not (tmp_path / "full.safetensors").exists()
+        share_work(2, CPU, train, folder, 1)
+    assert [path.name for path in folder.rglob("*") if path.is_file()] == ["state.safetensors"]
+    state = Checkpoint(folder / "full", "key").load()
+    assert state is not None
+    assert state[1]["iteration"] == TRAINING.checkpoint_every
+    return folder
+
+
+def test_a_killed_process_ends_the_training_which_resumes_to_the_same_bytes(
+    two: Path, killed: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(killed, tmp_path, dirs_exist_ok=True)
     share_work(2, CPU, train, tmp_path, None)
     for name in ("full.safetensors", "full.csv"):
         assert (tmp_path / name).read_bytes() == (two / name).read_bytes()
+
+
+def test_one_process_goes_on_where_one_of_two_was_killed(one: Path, killed: Path, tmp_path: Path) -> None:
+    shutil.copytree(killed, tmp_path, dirs_exist_ok=True)
+    with patch.object(FullTrainer, "start_from", side_effect=AssertionError("the training began anew")):
+        share_work(1, CPU, train, tmp_path, None)
+    assert _differences(one / "full.safetensors", tmp_path / "full.safetensors") == {}
+    resumed, whole = (np.loadtxt(folder / "full.csv", delimiter=",", skiprows=1) for folder in (tmp_path, one))
+    np.testing.assert_allclose(resumed, whole, rtol=1e-5, atol=ROUNDING)
 
 
 def test_what_a_file_system_refuses_a_process_is_raised_here(tmp_path: Path) -> None:
