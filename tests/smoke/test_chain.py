@@ -1,23 +1,35 @@
 """The whole chain at toy size, driven the way a user drives it."""
 
+import csv
 import json
+import shutil
 import signal
 import subprocess
-import time
+from collections.abc import Callable
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
 import pytest
 from PIL import Image
 
-from pipeline.files import read_json
+from pipeline.files import read_json, sha256
 from pipeline.networks.seed_choice import load_seed
 from pipeline.rows.turn_on import Options, turn_on, turn_on_baseline
 from tests.smoke.tiny_project import commands, environment, make_tiny_project, read_params, run, write_params
 
 pytestmark = pytest.mark.slow
 
-TRAINING = ["train_features", "learn_base_shape", "train_full", "fine_tune", "train_hologan"]
+RESTART_STATES = {
+    "train_features": (10, 12),
+    "learn_base_shape": (4, 12),
+    "train_full": (7, 7),
+    "fine_tune": (3, 4),
+    "train_hologan": (15, 20),
+}
+"""In the middle of writing which one a training is killed, and how many it writes."""
+DYING_STAGE = str(Path(__file__).with_name("dying_stage.py"))
+TORCHRUN = ["torchrun", "--standalone", "--nproc-per-node", "2"]
 
 
 @pytest.fixture(scope="module")
@@ -58,48 +70,89 @@ def test_restart_state_is_gone_when_a_stage_is_done(project: Path) -> None:
     assert _restart_states(project / ".checkpoints") == []
 
 
-@pytest.mark.parametrize("stage", TRAINING)
-def test_a_killed_training_resumes_to_the_same_bytes(project: Path, stage: str, tmp_path: Path) -> None:
-    """Kill the stage as soon as there is restart state, run it again and compare with the undisturbed run."""
-    command = commands(project)[stage]
-    written = {word: tmp_path / word for option, word in pairwise(command) if _writes(option)}
-    checkpoints = tmp_path / "checkpoints"
-    command = [str(written.get(word, word)) for word in command]
-    command[command.index("--checkpoints") + 1] = str(checkpoints)
+@pytest.fixture(scope="module")
+def kill(project: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
+    """Kill a training while it writes a restart state, its second process where it divides seeds; return what is left.
 
-    process = subprocess.Popen(command, cwd=project, env=environment(), stderr=subprocess.PIPE)
-    while process.poll() is None and not _restart_states(checkpoints):
-        time.sleep(0.002)
-    process.send_signal(signal.SIGKILL)
-    _, errors = process.communicate()
-    assert process.returncode == -signal.SIGKILL, errors.decode()
-    assert not any(path.exists() for path in written.values())
-    assert _restart_states(checkpoints)
+    The result is a folder, and is kept for the next test.
+    """
 
-    run(project, *command)
+    @cache
+    def kill(stage: str) -> Path:
+        folder, divides = tmp_path_factory.mktemp(stage), stage == "learn_base_shape"
+        words, _ = _redirected(project, stage, folder)
+        command = [*(TORCHRUN if divides else ["python"]), DYING_STAGE, str(RESTART_STATES[stage][0]), *words]
+        finished = subprocess.run(command, cwd=project, env=environment(), capture_output=True, text=True, check=False)
+        assert finished.returncode == -signal.SIGKILL or "(SIGKILL)" in finished.stderr, finished.stderr
+        assert [path.name for path in folder.iterdir()] == ["checkpoints"]
+        assert ("1" if divides else "checkpoints") in {path.parent.name for path in folder.rglob(".partial-state*")}
+        return folder
+
+    return kill
+
+
+@pytest.mark.parametrize("stage", RESTART_STATES)
+def test_a_killed_training_resumes_to_the_same_bytes(
+    project: Path, stage: str, kill: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """It would be killed again if it wrote more restart states than were left to write."""
+    shutil.copytree(kill(stage), tmp_path, dirs_exist_ok=True)
+    words, written = _redirected(project, stage, tmp_path)
+    deadly, states = RESTART_STATES[stage]
+    run(project, "python", DYING_STAGE, str(states - deadly + 2), *words)
     for word, path in written.items():
         assert path.read_bytes() == (project / word).read_bytes(), word
+    assert list(tmp_path.rglob("*state*")) == []
+
+
+@pytest.mark.parametrize(
+    ("stage", "launcher", "processes"), [("train_features", ["python"], 2), ("train_full", TORCHRUN, 1)]
+)
+def test_two_processes_go_on_where_one_was_killed(
+    project: Path, stage: str, launcher: list[str], processes: int, kill: Callable[[str], Path], tmp_path: Path
+) -> None:
+    shutil.copytree(kill(stage), tmp_path, dirs_exist_ok=True)
+    words, written = _redirected(project, stage, tmp_path)
+    run(project, *launcher, "-m", *_in_processes(project, stage, processes, words, tmp_path))
+    [(alone, shared)] = [(project / word, path) for word, path in written.items() if "curves" in word]
+    for ours, theirs in zip(*map(_losses, (shared, alone)), strict=True):
+        assert ours == pytest.approx(theirs, rel=1e-2)
+    [(alone, shared)] = [(project / word, path) for word, path in written.items() if "models" in word]
+    assert sha256(shared) != sha256(alone)  # sums over the halves of a batch are rounded
+    assert list(tmp_path.rglob("*state*")) == []
 
 
 def test_seeds_in_two_processes_write_the_same_bytes(project: Path, tmp_path: Path) -> None:
-    params = read_params(project)
-    params["processes"]["learn_base_shape"] = 2
-    write_params(tmp_path, params)
-    command = commands(project)["learn_base_shape"]
-    written = {word: tmp_path / word for option, word in pairwise(command) if _writes(option)}
-    command = [str(written.get(word, word)) for word in command]
-    command[command.index("--params") + 1] = str(tmp_path / "params.yaml")
-    run(project, *command)
+    words, written = _redirected(project, "learn_base_shape", tmp_path)
+    run(project, "python", "-m", *_in_processes(project, "learn_base_shape", 2, words, tmp_path))
     for word, path in written.items():
         assert path.read_bytes() == (project / word).read_bytes(), word
+
+
+def _redirected(project: Path, stage: str, folder: Path) -> tuple[list[str], dict[str, Path]]:
+    """Return a stage's module and arguments for another folder, and what it writes there by the name in the project."""
+    words = commands(project)[stage][2:]
+    written = {word: folder / word for option, word in pairwise(words) if option in ("--out", "--metrics", "--curve")}
+    words = [str(written.get(word, word)) for word in words]
+    words[words.index("--checkpoints") + 1] = str(folder / "checkpoints")
+    return words, written
+
+
+def _in_processes(project: Path, stage: str, count: int, words: list[str], folder: Path) -> list[str]:
+    params = read_params(project)
+    params["processes"][stage] = count
+    write_params(folder, params)
+    return [str(folder / word) if word == "params.yaml" else word for word in words]
+
+
+def _losses(curve: Path) -> list[dict[str, float]]:
+    """Read a curve, but for how many test pictures a network tells right."""
+    with curve.open() as rows:
+        return [{name: float(row[name]) for name in row if name != "test_accuracy"} for row in csv.DictReader(rows)]
 
 
 def _restart_states(folder: Path) -> list[Path]:
     return list(folder.rglob("state*.safetensors"))
-
-
-def _writes(option: str) -> bool:
-    return option in ("--out", "--metrics", "--curve")
 
 
 def test_a_stage_runs_alone_and_writes_the_same_bytes(project: Path) -> None:
