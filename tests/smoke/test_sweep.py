@@ -22,10 +22,21 @@ SEEDS = (1, 2)
 
 
 @pytest.fixture(scope="module")
-def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def meeting(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Name the place where runs of the stage wait for each other once it is there."""
+    return tmp_path_factory.mktemp("place") / "meeting"
+
+
+@pytest.fixture(scope="module")
+def project(meeting: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Run the first two stages in a project that git keeps."""
     folder = tmp_path_factory.mktemp("project")
     make_tiny_project(folder)
+    shutil.copy(Path(__file__).with_name("meeting.py"), folder)
+    graph = (folder / "dvc.yaml").read_text()
+    command = "python -m stages.train_features"
+    assert graph.count(command) == 1
+    (folder / "dvc.yaml").write_text(graph.replace(command, f"python meeting.py {meeting} -m stages.train_features"))
     run(folder, "dvc", "config", "--unset", "core.no_scm")
     run(folder, "git", "init", "--quiet")
     for key, value in (("user.name", "a tester"), ("user.email", "tester@example.org")):
@@ -37,8 +48,12 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def experiments(project: Path) -> Iterator[dict[int, str]]:
-    """Queue one run a seed, let two workers take them, and return the git reference of each by its seed."""
+def experiments(project: Path, meeting: Path) -> Iterator[dict[int, str]]:
+    """Queue one run a seed, let two workers take them, and return the git reference of each by its seed.
+
+    A run that has nobody to meet in the stage fails: both train at the same time.
+    """
+    meeting.mkdir()
     seeds = ",".join(map(str, SEEDS))
     run(project, "dvc", "exp", "run", "--queue", "-S", f"features.toybox-laptop.seed={seeds}", STAGE)
     run(project, "dvc", "queue", "start", "--jobs", "2")
