@@ -45,6 +45,29 @@ def test_a_training_in_two_parts_ends_as_in_one(tmp_path: Path) -> None:
     assert (first.place, second.place) == (0.5**3, whole.place)
 
 
+class Mortal(Descent):
+    """Walk down the parabola, and die at the second step."""
+
+    alive = True
+
+    def step(self, iteration: int) -> dict[str, Tensor]:
+        if not self.alive:
+            raise KeyboardInterrupt
+        self.alive = False
+        return super().step(iteration)
+
+
+def test_a_training_that_dies_after_every_step_ends_as_one_that_lives(tmp_path: Path) -> None:
+    whole, last, schedule = Descent(), Descent(), Schedule(6, 4, 1)
+    expected = run_training(whole, schedule, "descent", Checkpoint(tmp_path / "whole", "key"))
+    checkpoint = Checkpoint(tmp_path / "mortal", "key")
+    for _ in range(5):
+        with pytest.raises(KeyboardInterrupt):
+            run_training(Mortal(), schedule, "descent", checkpoint)
+    assert run_training(last, schedule, "descent", checkpoint).rows == expected.rows
+    assert last.place == whole.place
+
+
 def test_what_prepares_a_training_happens_once(tmp_path: Path) -> None:
     prepared: list[int] = []
     for _ in range(2):
