@@ -41,7 +41,8 @@ def test_everything_imported_is_declared_and_nothing_else() -> None:
     extras = PROJECT["optional-dependencies"]
     declared = _names(PROJECT["dependencies"] + extras["pipeline"] + extras["video"] + extras["baselines"])
     imported = _third_party([*ROOT.glob("pipeline/**/*.py"), *ROOT.glob("stages/*.py")])
-    assert imported == declared - {"dvc"} | {"triton"}, "DVC is run, not imported; PyTorch brings Triton to GPUs"
+    others = {"dvc", "trimesh"}  # DVC is run, of trimesh a file is read
+    assert imported == declared - others | {"triton"}, "PyTorch brings Triton to GPUs"
 
 
 def test_training_needs_the_core_dependencies_alone() -> None:
