@@ -33,9 +33,11 @@ def _filled_memory() -> Iterator[None]:
 
 
 def _import_and_stay(imported: Event) -> None:
-    with suppress(ImportError):  # which is raised again where the module is used
-        import_module("pymeshlab")
-    imported.set()
+    try:
+        with suppress(ImportError):  # which is raised again below
+            import_module("pymeshlab")
+    finally:
+        imported.set()
     Event().wait()
 
 
