@@ -68,9 +68,9 @@ class FullTrainingConfig:
     model: FullModelConfig
     ellipsoid: EllipsoidConfig
     warm_up: WarmUpConfig
-    """Of two-stage training alone, like `first_poses`: there is nothing to render without a base shape."""
+    """Of two-stage training alone: there is nothing to render without a base shape."""
     first_poses: FirstPosesConfig | None
-    """None leaves records at the paper's random poses."""
+    """Of two-stage training alone; None leaves records at the paper's random poses."""
     lessons: LessonsConfig
     """From the first poses, from the recorded ones when ends are told apart, and from those after training."""
     ends: EndsConfig | None
@@ -78,7 +78,8 @@ class FullTrainingConfig:
     settle: Fraction
     """The first part of the iterations, in which poses are refined, but not turned to the object's far side at once:
     textures that mean nothing yet would choose between its ends blindly, and undo what `ends` told
-    (docs/decisions/poses.md). 1 is all of them, which leaves random, turned and flipped poses out."""
+    (docs/decisions/poses.md). 1 is all of them, which leaves random, turned and flipped poses out. Without first poses
+    there is nothing to keep, and poses are free from the start."""
     exploration: ExplorationConfig
     loss: LossConfig
     discriminator_width: Count
@@ -88,10 +89,10 @@ class FullTrainingConfig:
     """Iterations between restart states."""
 
     def __post_init__(self) -> None:
-        """Raise ConfigError for parts that are for mirror-symmetric objects alone, and for poses that cannot move."""
+        """Raise ConfigError for parts that are for mirror-symmetric objects alone."""
         if not self.model.shape.mirror:
             for name, value in (
-                ("first_poses", self.first_poses if self.model.two_stage else None),
+                ("first_poses", self.starts_from_first_poses),
                 ("ends", self.ends),
                 ("loss.mirrored_regression", self.loss.mirrored_regression),
             ):
@@ -100,11 +101,11 @@ class FullTrainingConfig:
                         f"train_full.{name} is for mirror-symmetric objects, but train_full.model.shape.mirror is "
                         "false; expected null or 0, as in the ablation no-symmetry"
                     )
-        if self.settle == 1 and not (self.model.two_stage and self.first_poses):
-            raise ConfigError(
-                "train_full.settle is 1, by which poses stay near their first ones, but there are none: first_poses is "
-                "null, or model.two_stage false; expected 0, or less than 1, as in the ablation single-stage"
-            )
+
+    @property
+    def starts_from_first_poses(self) -> bool:
+        """Whether records start from first poses, which are compared with renderings of the base shape."""
+        return self.model.two_stage and self.first_poses is not None
 
 
 class FullTrainer:
@@ -155,8 +156,8 @@ class FullTrainer:
         self._turn_round_if_due(iteration)
         config = self.config
         set_learning_rate(falling(config.learning_rate, iteration, config.iterations, config.cool_down), self.optimizer)
-        settled = iteration >= config.settle * config.iterations
-        return (self._explore if settled else self._refine)(self.draw(iteration))
+        refines = config.starts_from_first_poses and iteration < config.settle * config.iterations
+        return (self._refine if refines else self._explore)(self.draw(iteration))
 
     def _recorded(self, exploration: ExplorationConfig) -> Callable[[Tensor], dict[str, Float[Tensor, ""]]]:
         learn = partial(self._learn_from, exploration)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,11 +16,12 @@ from pipeline.networks.feature_extractor import extract
 from pipeline.networks.full_model import Reconstruction
 from pipeline.networks.pose_coordinates import PoseRange
 from pipeline.seeding import generator
+from pipeline.training import full_trainer
 from pipeline.training.candidates import flipped
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.curves import Curve
 from pipeline.training.ends import EndsConfig
-from pipeline.training.exploration import score
+from pipeline.training.exploration import Best, explore, score
 from pipeline.training.fine_tune import FineTuneConfig, Outputs, PhaseConfig, fine_tune, tune
 from pipeline.training.first_poses import read_poses
 from pipeline.training.full import train_full
@@ -87,6 +89,22 @@ def test_interrupted_training_ends_with_the_same_bytes(
     halves = state(train(config, tmp_path / "halves", precision=precision))
     assert whole.keys() == halves.keys()
     assert [name for name in whole if not torch.equal(whole[name], halves[name])] == []
+
+
+@pytest.mark.parametrize(("two_stage", "first_poses"), [(True, True), (True, False), (False, True)])
+def test_poses_are_free_from_the_start_where_there_are_no_first_ones(
+    two_stage: bool, first_poses: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    far = []
+
+    def noticing(*arguments: Any) -> Best:
+        far.append(arguments[5].random_poses > 0)
+        return explore(*arguments)
+
+    monkeypatch.setattr(full_trainer, "explore", noticing)
+    config = replace(TRAINING, model=replace(MODEL, two_stage=two_stage), settle=0.5)
+    train(config if first_poses else replace(config, first_poses=None), tmp_path)
+    assert far == ([False, False, True, True] if two_stage and first_poses else [True] * 4)
 
 
 def test_training_that_dies_after_telling_ends_resumes_to_the_same_bytes(

@@ -99,7 +99,7 @@ def test_each_ablation_changes_what_its_name_says() -> None:
         for name in ("smoothness", "symmetry", "texture_simplicity", "background_simplicity")
     }
     counts = ("random_poses", "turned_poses", "raised_poses", "flipped_poses", "perturbed_poses")
-    single_stage = {"two_stage": False, "ends": None, "settle": 0.0}
+    single_stage = {"two_stage": False, "ends": None}
     weights = ("total_variation", "mirrored_regression", "laplacian_squared_weight", "angle_squared_weight")
     free = {"mirror_texture": False, "stripes": False, "mirror": False, **dict.fromkeys(weights, 0)}
     additions = dict.fromkeys(
@@ -116,20 +116,18 @@ def test_each_ablation_changes_what_its_name_says() -> None:
             "mirrored_regression": 0,
             "first_poses": None,
             "ends": None,
-            "settle": 0.0,
         },
         "fixed-base": {"base_learning": None},
         "longer": {"iterations": 2400, "base_roughness": 0.4},
         "single-stage": single_stage,
         "single-stage-no-constraints": single_stage | free,
         "no-exploration": {"shapes": None, **dict.fromkeys(counts, 0)},
-        "no-first-poses": {"first_poses": None, "ends": None, "settle": 0.0},
+        "no-first-poses": {"first_poses": None, "ends": None},
         "no-ends": {"ends": None},
         "no-view-prior": {"view_prior": 0},
         "no-additions": {
             "first_poses": None,
             "ends": None,
-            "settle": 0.0,
             "deepest_map": 1,
             "base_learning": None,
             "raised_poses": 0,

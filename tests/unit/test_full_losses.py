@@ -153,12 +153,6 @@ def test_what_is_for_mirror_symmetric_objects_is_refused_for_others(changes: dic
     replace(TRAINING, model=model, first_poses=None, loss=loss)
 
 
-def test_poses_without_first_ones_have_to_move() -> None:
-    with pytest.raises(ConfigError, match=r"train_full\.settle is 1, by which poses stay near their first ones"):
-        replace(TRAINING, settle=1.0, first_poses=None)
-    replace(TRAINING, settle=1.0)
-
-
 def learns(network: nn.Module) -> bool:
     """Say whether a gradient has reached a network."""
     return any(parameter.grad is not None and bool(parameter.grad.any()) for parameter in network.parameters())
