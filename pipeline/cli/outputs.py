@@ -12,7 +12,7 @@ from pipeline.export.glb import write_glb
 from pipeline.export.obj import write_obj
 from pipeline.export.picture import enlarge, write_png
 from pipeline.export.report import ReportConfig
-from pipeline.export.seam import unwrap
+from pipeline.export.seam import Seam
 from pipeline.export.views import on_white, render_textured
 from pipeline.files import write_json
 from pipeline.geometry.camera import Pose
@@ -30,12 +30,17 @@ class Found(NamedTuple):
     """The reconstruction, rendered over its background."""
 
 
-def write_outputs(target: Target, found: Found, model: FullModel, report: ReportConfig, outputs: Sequence[str]) -> None:
-    """Write those of the outputs that are made of what was found, each file whole or not at all."""
+def write_outputs(
+    target: Target, found: Found, model: FullModel, seam: Seam, report: ReportConfig, outputs: Sequence[str]
+) -> None:
+    """Write those of the outputs that are made of what was found, each file whole or not at all.
+
+    `seam` is where the model's meshes are cut open.
+    """
     vertices, texture = found.vertices[0], found.texture
     faces, directions = model.faces.cpu(), model.directions.cpu()
     if "mesh" in outputs:
-        mesh = unwrap(vertices, faces, directions, texture.shape[-1])
+        mesh = seam.unwrap(vertices, texture.shape[-1])
         write_glb(target.file(".glb"), mesh, texture)
         write_obj(target.file(".obj"), mesh, texture)
     if "picture" in outputs:

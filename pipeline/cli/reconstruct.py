@@ -28,6 +28,7 @@ from pipeline.export.animation import encoder
 from pipeline.export.painting import PaintingConfig, paint
 from pipeline.export.picture import write_png
 from pipeline.export.report import ReportConfig
+from pipeline.export.seam import Seam, cut_open
 from pipeline.files import read_json, sha256, write_json
 from pipeline.geometry.camera import Pose, pose_from_tensor
 from pipeline.networks.feature_extractor import FeatureExtractor, extract, load_feature_extractor
@@ -93,6 +94,7 @@ def reconstruct(
     waiting, failures = _waiting(tasks, outputs)
     skipped, written = len(tasks) - len(waiting) - len(failures), 0
     extractor = load_feature_extractor(run.features, device, resolve_precision(scalar(run.params, "precision"), device))
+    seam = cut_open(model.faces.cpu(), model.directions.cpu())
     find = partial(_fine_tuned, config=config) if steps.fine_tune else _inferred
     with tqdm(total=len(waiting), desc="reconstructing", unit="photograph", disable=None) as progress:
         for start in range(0, len(waiting), config.batch_size):
@@ -104,7 +106,7 @@ def reconstruct(
             for task, found in zip(readable, find(images.to(device), model, extractor), strict=True):
                 try:
                     shown = _painted(found, task, model, fit, painting) if steps.paint else found
-                    _write(task, shown, model, settings, outputs)
+                    _write(task, shown, model, seam, settings, outputs)
                     written += 1
                 except DataError as error:
                     failures.append(str(error))
@@ -120,9 +122,9 @@ def reconstruct(
     return Outcome(written, skipped, failures, out / PAGE if done else None)
 
 
-def _write(task: Task, found: Found, model: FullModel, settings: Settings, outputs: Sequence[str]) -> None:
+def _write(task: Task, found: Found, model: FullModel, seam: Seam, settings: Settings, outputs: Sequence[str]) -> None:
     task.claim()
-    write_outputs(task.target, found, model, settings.report, outputs)
+    write_outputs(task.target, found, model, seam, settings.report, outputs)
     if "picture" in outputs:
         write_png(task.target.file("_photograph.png"), _seen(task, settings.fit, _SEEN_SIZE))
 

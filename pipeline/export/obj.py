@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from jaxtyping import Float
+from jaxtyping import Float, Shaped
 from torch import Tensor
 
 from pipeline.export.picture import write_png
@@ -26,16 +26,17 @@ def write_obj(path: Path, mesh: UnwrappedMesh, texture: Float[Tensor, "3 T T"]) 
         [
             f"mtllib {material.name}",
             "usemtl texture",
-            *_rows("v", mesh.vertices),
-            *_rows("vt", uv),
-            *_rows("vn", mesh.normals),
-            *("f " + " ".join(f"{i}/{i}/{i}" for i in face) for face in (mesh.faces + 1).tolist()),
+            _rows("v %.6f %.6f %.6f", mesh.vertices),
+            _rows("vt %.6f %.6f", uv),
+            _rows("vn %.6f %.6f %.6f", mesh.normals),
+            _rows("f %d/%d/%d %d/%d/%d %d/%d/%d", (mesh.faces + 1).repeat_interleave(3, dim=1)),
         ],
     )
 
 
-def _rows(keyword: str, values: Float[Tensor, "V C"]) -> list[str]:
-    return [f"{keyword} " + " ".join(f"{value:.6f}" for value in row) for row in values.tolist()]
+def _rows(template: str, values: Shaped[Tensor, "N C"]) -> str:
+    """Write all rows by one template, several times faster than one by one."""
+    return "\n".join([template] * len(values)) % tuple(values.flatten().tolist())
 
 
 def _write_lines(path: Path, lines: Sequence[str]) -> None:

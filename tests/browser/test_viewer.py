@@ -15,7 +15,7 @@ from pipeline.cli.photographs import Target
 from pipeline.export.glb import write_glb
 from pipeline.export.picture import write_png
 from pipeline.export.report import write_report
-from pipeline.export.seam import unwrap
+from pipeline.export.seam import cut_open
 from pipeline.files import write_json
 from tests.report_inputs import BLUE, CAMERA, CONFIG, ORANGE, inputs
 
@@ -220,12 +220,13 @@ def test_a_browser_without_webgl_says_so(chromium: Browser, address: str) -> Non
 
 def test_reconstructed_photographs_are_turned_on_a_page_of_their_own(open_page: Open, tmp_path: Path) -> None:
     found = inputs(truth=False).reconstructions
-    texture, vertices = found.textures[0], found.tuned.vertices[0]
+    texture = found.textures[0]
+    mesh = cut_open(found.faces, found.directions).unwrap(found.tuned.vertices[0], texture.shape[-1])
     targets = [Target(tmp_path / "photographs" / name) for name in ("first", "second")]
     for target, azimuth in zip(targets, (180.0, 0.0), strict=True):
         for kind in ("photograph", "reconstruction"):
             write_png(target.file(f"_{kind}.png"), torch.zeros(3, 32, 32))
-        write_glb(target.file(".glb"), unwrap(vertices, found.faces, found.directions, texture.shape[-1]), texture)
+        write_glb(target.file(".glb"), mesh, texture)
         write_json(target.file("_pose.json"), {"azimuth_degrees": azimuth, "elevation_degrees": 0.0})
     write_gallery(tmp_path / "index.html", targets, CAMERA)
     page = open_page((tmp_path / "index.html").as_uri(), **STILL)

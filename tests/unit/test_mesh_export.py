@@ -11,7 +11,7 @@ from trimesh.visual import TextureVisuals
 
 from pipeline.export.glb import write_glb
 from pipeline.export.obj import write_obj
-from pipeline.export.seam import UnwrappedMesh, unwrap
+from pipeline.export.seam import UnwrappedMesh, cut_open
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.topology import polygon_areas
 from tests.deformed_spheres import deformed_sphere
@@ -44,7 +44,7 @@ def turned(directions: Tensor) -> Tensor:
 def test_flat_look_up_agrees_with_the_sphere(place: Callable[[Tensor], Tensor]) -> None:
     directions, faces = icosphere(3)
     directions = place(directions)
-    mesh = unwrap(directions, faces, directions, SIZE)
+    mesh = cut_open(faces, directions).unwrap(directions, SIZE)
     texture = torch.rand(3, SIZE, SIZE, generator=torch.Generator().manual_seed(0))
     smooth = torch.nn.functional.avg_pool2d(torch.cat([texture] * 3, dim=2)[None], 9, 1, 4)[0, :, :, SIZE : 2 * SIZE]
     # Away from the poles, where a flat triangle cannot follow the sphere, also inside the faces.
@@ -59,7 +59,7 @@ def test_flat_look_up_agrees_with_the_sphere(place: Callable[[Tensor], Tensor]) 
 @pytest.mark.parametrize("place", [lambda directions: directions, turned], ids=["cut along edges", "cut through faces"])
 def test_no_face_reaches_across_the_texture(place: Callable[[Tensor], Tensor]) -> None:
     directions, faces = icosphere(3)
-    mesh = unwrap(directions, faces, place(directions), SIZE)
+    mesh = cut_open(faces, place(directions)).unwrap(directions, SIZE)
     corners = mesh.uv[mesh.faces]
     assert (corners[..., 0].amax(dim=1) - corners[..., 0].amin(dim=1)).max() <= 0.51
     assert mesh.uv[:, 0].min() > -0.5
@@ -71,7 +71,7 @@ def test_no_face_reaches_across_the_texture(place: Callable[[Tensor], Tensor]) -
 @pytest.mark.parametrize("place", [lambda directions: directions, turned], ids=["cut along edges", "cut through faces"])
 def test_shape_is_unchanged(place: Callable[[Tensor], Tensor]) -> None:
     vertices, faces, directions = deformed_sphere("horse")
-    mesh = unwrap(vertices, faces, place(directions), SIZE)
+    mesh = cut_open(faces, place(directions)).unwrap(vertices, SIZE)
     areas = polygon_areas(mesh.vertices, mesh.faces)
     torch.testing.assert_close(areas.sum(), polygon_areas(vertices, faces).sum())
     torch.testing.assert_close(mesh.normals.norm(dim=1), torch.ones(len(mesh.normals)))
@@ -93,7 +93,7 @@ def test_another_reader_sees_the_same_mesh_and_the_texture_right_side_up(
     read: Callable[[Path, UnwrappedMesh], trimesh.Trimesh], tmp_path: Path
 ) -> None:
     vertices, faces, directions = deformed_sphere("car")
-    mesh = unwrap(vertices, faces, directions, SIZE)
+    mesh = cut_open(faces, directions).unwrap(vertices, SIZE)
     loaded = read(tmp_path, mesh)
     torch.testing.assert_close(torch.tensor(loaded.vertices).float(), mesh.vertices, atol=1e-6, rtol=0)
     assert torch.equal(torch.tensor(loaded.faces), mesh.faces)
@@ -110,7 +110,7 @@ def test_another_reader_sees_the_same_mesh_and_the_texture_right_side_up(
 @pytest.mark.parametrize("name", ["shape.obj", "shape.glb"])
 def test_another_reader_sees_normals_that_point_outward(name: str, tmp_path: Path) -> None:
     directions, faces = icosphere(2)
-    mesh = unwrap(directions * torch.tensor([0.3, 0.2, 0.5]), faces, directions, SIZE)
+    mesh = cut_open(faces, directions).unwrap(directions * torch.tensor([0.3, 0.2, 0.5]), SIZE)
     write_obj(tmp_path / "shape.obj", mesh, smooth_texture())
     write_glb(tmp_path / "shape.glb", mesh, smooth_texture())
     (loaded,) = trimesh.load_scene(tmp_path / name, process=False).geometry.values()
@@ -119,7 +119,8 @@ def test_another_reader_sees_normals_that_point_outward(name: str, tmp_path: Pat
 
 
 def test_textures_repeat_to_the_sides_alone_and_are_unlit(tmp_path: Path) -> None:
-    mesh = unwrap(*deformed_sphere("dented", 2), SIZE)
+    vertices, faces, directions = deformed_sphere("dented", 2)
+    mesh = cut_open(faces, directions).unwrap(vertices, SIZE)
     write_glb(tmp_path / "shape.glb", mesh, smooth_texture())
     write_obj(tmp_path / "shape.obj", mesh, smooth_texture())
     content = (tmp_path / "shape.glb").read_bytes()
@@ -134,7 +135,7 @@ def test_textures_repeat_to_the_sides_alone_and_are_unlit(tmp_path: Path) -> Non
 
 def test_files_are_the_same_every_time_and_name_each_other(tmp_path: Path) -> None:
     vertices, faces, directions = deformed_sphere("dented", 2)
-    mesh = unwrap(vertices, faces, directions, SIZE)
+    mesh = cut_open(faces, directions).unwrap(vertices, SIZE)
     for folder in (tmp_path / "first", tmp_path / "second"):
         folder.mkdir()
         write_obj(folder / "shape.obj", mesh, smooth_texture())
