@@ -99,6 +99,7 @@ def _started(
     function: Callable[..., None],
     arguments: tuple[object, ...],
 ) -> None:
+    end_with_parent()  # PyTorch asks for an interrupt, which processes behind `&` ignore
     group = {"init_method": meeting, "rank": rank, "world_size": processes}
     try:
         _work(rank, device, group, function, arguments)
@@ -129,9 +130,15 @@ def _work(
 
 
 def end_with_parent() -> None:
-    """Let the system end this process when the one that started it ends, however that happens; on Linux alone."""
+    """Let the system end this process when the one that started it ends, however that happens; on Linux alone.
+
+    It ends at once where that one has ended already.
+    """
     if platform.system() == "Linux":
         ctypes.CDLL(None).prctl(_END_WITH_PARENT, signal.SIGTERM)
+    parent = multiprocessing.parent_process()
+    if parent and not parent.is_alive():
+        sys.exit(1)
 
 
 @contextmanager

@@ -2,6 +2,10 @@
 
 import re
 import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 from unittest.mock import patch
 
@@ -19,6 +23,7 @@ from tests.shared_trainings import SEEDS, take_steps, train
 from tests.tiny_full_model import TRAINING
 
 CPU = torch.device("cpu")
+ROOT = Path(__file__).parents[2]
 
 # Biases before a batch normalisation, and the running means that follow them, change nothing: their gradients are zero
 # but for rounding, which Adam enlarges.
@@ -118,6 +123,34 @@ def test_one_process_goes_on_where_one_of_two_was_killed(one: Path, killed: Path
     assert _differences(one / "full.safetensors", tmp_path / "full.safetensors") == {}
     resumed, whole = (np.loadtxt(folder / "full.csv", delimiter=",", skiprows=1) for folder in (tmp_path, one))
     np.testing.assert_allclose(resumed, whole, rtol=1e-5, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("working", [True, False], ids=["at work", "not yet at work"])
+def test_processes_end_with_the_one_that_started_them(tmp_path: Path, working: bool) -> None:
+    starter = subprocess.Popen([sys.executable, "-m", "tests.lasting_work", tmp_path], cwd=ROOT)
+    wait_until(lambda: len(list(tmp_path.iterdir()) if working else children(starter.pid)) >= 2)
+    started = children(starter.pid)
+    starter.kill()
+    starter.wait()
+    wait_until(lambda: not any(map(is_alive, started)))
+
+
+def children(process: int) -> list[int]:
+    return [int(child) for child in Path(f"/proc/{process}/task/{process}/children").read_text().split()]
+
+
+def is_alive(process: int) -> bool:
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+
+
+def wait_until(happens: Callable[[], bool]) -> None:
+    end = time.monotonic() + 60
+    while not happens():
+        assert time.monotonic() < end
+        time.sleep(0.1)
 
 
 def test_what_a_file_system_refuses_a_process_is_raised_here(tmp_path: Path) -> None:
