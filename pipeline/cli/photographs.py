@@ -1,13 +1,14 @@
 """Which photographs to reconstruct, and where what comes of them is written."""
 
+import itertools
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from pipeline.datasets.archives import walk
-from pipeline.datasets.folder import ENDINGS, is_hidden
+from pipeline.datasets.archives import is_hidden, walk
+from pipeline.datasets.folder import ENDINGS
 from pipeline.errors import DataError
 from pipeline.files import atomic_path, sha256
 
@@ -59,10 +60,14 @@ class Task(NamedTuple):
             )
         return self.target.done(outputs)
 
-    def claim(self) -> None:
-        """Say at the target that what is going to be written there is made of this photograph."""
-        with atomic_path(self.target.file(ORIGIN)) as temporary:
-            temporary.write_text(sha256(self.photograph), encoding="utf-8")
+    def claim(self, content_hash: str) -> None:
+        """Say at the target of which photograph it is made from now on; what is there of another one is removed."""
+        origin = self.target.file(ORIGIN)
+        if not origin.is_file() or origin.read_text(encoding="utf-8") != content_hash:
+            for ending in itertools.chain(*FILES.values()):
+                self.target.file(ending).unlink(missing_ok=True)
+        with atomic_path(origin) as temporary:
+            temporary.write_text(content_hash, encoding="utf-8")
 
 
 def find_targets(out: Path, outputs: Sequence[str]) -> list[Target]:
@@ -106,11 +111,15 @@ def list_tasks(paths: Sequence[Path], out: Path) -> list[Task]:
 
     Earlier outputs inside of a folder of photographs are left out. A photograph that is named twice is listed once.
 
-    Raises DataError for a path that does not exist, a folder without photographs, and an `out` that is a file, or the
-    photographs' own folder or one above it, which may be read as one of photographs later.
+    Raises DataError for a path that does not exist, a folder without photographs, and an `out` that is a file, the
+    photographs' own folder or one above it, which may be read as one of photographs later, or inside or around another
+    folder of outputs, which may be made in another way.
     """
     if out.is_file():
         raise DataError(f"{out} is a file; name a folder")
+    records = [folder / RECORD for folder in out.resolve().parents] + list(out.glob(f"*/**/{RECORD}"))
+    for record in filter(Path.is_file, records):
+        raise DataError(f"{record.parent} is another folder of outputs, and {out} is inside or around it; name another")
     tasks: dict[tuple[str, Target], Task] = {}
     for task in (task for path in paths for task in _tasks(path, out)):
         tasks.setdefault((os.path.realpath(task.photograph), task.target), task)
@@ -133,6 +142,8 @@ def _tasks(path: Path, out: Path) -> Iterator[Task]:
 def _plain(name: str) -> str:
     """Return a file's name without its ending.
 
-    Without spaces too, which readers of OBJ take for the end of a name, and without bytes that are no text in UTF-8.
+    Without spaces too, which readers of OBJ take for the end of a name, without bytes that are no text in UTF-8, and
+    not of dots alone, which name folders.
     """
-    return re.sub(r"[\udc80-\udcff]", "_", "_".join(Path(name).stem.split())) or "_"
+    stem = re.sub(r"[\udc80-\udcff]", "_", "_".join(Path(name).stem.split()))
+    return stem if stem.strip(".") else f"{stem}_"

@@ -65,6 +65,25 @@ class Settings(NamedTuple):
     report: ReportConfig
 
 
+class _Readable(NamedTuple):
+    """A photograph as it is when the networks see it."""
+
+    task: Task
+    content_hash: str
+
+    def seen(self, fit: Fit, size: int) -> Float[Tensor, "3 side side"]:
+        """Read the square that the model sees once more, at its own resolution up to a size.
+
+        Raises DataError where the file is another by now.
+        """
+        path = self.task.photograph
+        with reading(str(path)):
+            content = path.read_bytes()
+        if hashlib.sha256(content).hexdigest() != self.content_hash:
+            raise DataError(f"{path} was replaced while it was reconstructed; run the same command again")
+        return torch.from_numpy(decode_up_to(content, str(path), size, fit).copy()).permute(2, 0, 1) / 255
+
+
 class Outcome(NamedTuple):
     """What became of the photographs."""
 
@@ -103,17 +122,17 @@ def reconstruct(
             if not readable:
                 continue
             write_json(out / RECORD, way)
-            for task, found in zip(readable, find(images.to(device), model, extractor), strict=True):
+            for photograph, found in zip(readable, find(images.to(device), model, extractor), strict=True):
                 try:
-                    shown = _painted(found, task, model, fit, painting) if steps.paint else found
-                    _write(task, shown, model, seam, settings, outputs)
+                    shown = _painted(found, photograph, model, fit, painting) if steps.paint else found
+                    _write(photograph, shown, model, seam, settings, outputs)
                     written += 1
                 except DataError as error:
                     failures.append(str(error))
                 except OSError as error:
                     if error.errno not in _OF_ONE_NAME:
                         raise
-                    failures.append(f"{task.photograph}: {error}")
+                    failures.append(f"{photograph.task.photograph}: {error}")
                 progress.update()
     latest = {task.target for task in tasks}
     done = sorted(find_targets(out, PAGED), key=lambda target: target not in latest)
@@ -122,11 +141,15 @@ def reconstruct(
     return Outcome(written, skipped, failures, out / PAGE if done else None)
 
 
-def _write(task: Task, found: Found, model: FullModel, seam: Seam, settings: Settings, outputs: Sequence[str]) -> None:
-    task.claim()
+def _write(
+    photograph: _Readable, found: Found, model: FullModel, seam: Seam, settings: Settings, outputs: Sequence[str]
+) -> None:
+    task = photograph.task
+    seen = photograph.seen(settings.fit, _SEEN_SIZE) if "picture" in outputs else None
+    task.claim(photograph.content_hash)
     write_outputs(task.target, found, model, seam, settings.report, outputs)
-    if "picture" in outputs:
-        write_png(task.target.file("_photograph.png"), _seen(task, settings.fit, _SEEN_SIZE))
+    if seen is not None:
+        write_png(task.target.file("_photograph.png"), seen)
 
 
 def _load_settings(run: Run) -> Settings:
@@ -168,7 +191,7 @@ def _waiting(tasks: Sequence[Task], outputs: Sequence[str]) -> tuple[list[Task],
 
 def _read(
     tasks: Sequence[Task], model: FullModel, fit: Fit, failures: list[str]
-) -> tuple[list[Task], UInt8[Tensor, "B 3 H W"]]:
+) -> tuple[list[_Readable], UInt8[Tensor, "B 3 H W"]]:
     """Decode photographs; return those that can be read, and add a sentence to the failures for each of the others."""
     size = model.config.renderer.size
     readable, images = [], [torch.zeros(0, 3, size, size, dtype=torch.uint8)]
@@ -180,7 +203,7 @@ def _read(
         except DataError as error:
             failures.append(str(error))
         else:
-            readable.append(task)
+            readable.append(_Readable(task, hashlib.sha256(content).hexdigest()))
             images.append(torch.from_numpy(picture.copy()).permute(2, 0, 1)[None])
     return readable, torch.cat(images)
 
@@ -219,21 +242,15 @@ def _separate(
     ]
 
 
-def _painted(found: Found, task: Task, model: FullModel, fit: Fit, config: PaintingConfig) -> Found:
+def _painted(found: Found, photograph: _Readable, model: FullModel, fit: Fit, config: PaintingConfig) -> Found:
     """Paint what is found with its photograph, and render it at the photograph's size."""
-    photograph = _seen(task, fit, config.photograph_size)
+    seen = photograph.seen(fit, config.photograph_size)
     mesh = Mesh(found.vertices, model.faces.cpu(), model.directions.cpu())
-    settings, renderer = model.config, replace(model.config.renderer, size=photograph.shape[-1])
-    texture = paint(mesh, found.texture, found.pose, photograph, renderer.camera, settings.mirror_texture, config)
-    background = functional.interpolate(found.background, size=photograph.shape[1:], mode="bilinear")
+    settings, renderer = model.config, replace(model.config.renderer, size=seen.shape[-1])
+    texture = paint(mesh, found.texture, found.pose, seen, renderer.camera, settings.mirror_texture, config)
+    background = functional.interpolate(found.background, size=seen.shape[1:], mode="bilinear")
     image = render(mesh, texture[None], found.pose, background, None, renderer).images[0]
     return found._replace(texture=texture, background=background, image=image)
-
-
-def _seen(task: Task, fit: Fit, size: int) -> Float[Tensor, "3 side side"]:
-    """Read the square of a photograph that the model sees, at its own resolution up to a size."""
-    pixels = decode_up_to(task.photograph.read_bytes(), str(task.photograph), size, fit)
-    return torch.from_numpy(pixels.copy()).permute(2, 0, 1) / 255
 
 
 def _require_same_way(out: Path, way: dict[str, str | bool]) -> None:

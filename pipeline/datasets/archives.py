@@ -8,7 +8,7 @@ import zipfile
 import zlib
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from pathlib import Path, PurePosixPath
+from pathlib import Path, PurePath, PurePosixPath
 from typing import NamedTuple
 
 from pipeline.errors import DataError
@@ -16,7 +16,7 @@ from pipeline.errors import DataError
 DAMAGE = (tarfile.TarError, zipfile.BadZipFile, lzma.LZMAError, zlib.error, EOFError, OSError, UnicodeDecodeError)
 """What the readers of archives raise when bytes are missing or wrong."""
 
-_ZIP, _GZIP = b"PK", b"\x1f\x8b"
+_ZIP, _GZIP = (b"PK\x03\x04", b"PK\x05\x06"), b"\x1f\x8b"
 """How files of these forms begin."""
 _ENCRYPTED = 1
 """The flag of a zip's member that needs a password."""
@@ -66,23 +66,31 @@ def read_tree(path: Path, wanted: Wanted = lambda _: True) -> Iterator[Entry]:
     if not path.is_file():
         raise DataError(f"{path} does not exist; expected a folder or a tar or zip archive")
     try:
-        read = _read_zip if _start(path) == _ZIP else _read_tar
+        read = _read_zip if _start(path).startswith(_ZIP) else _read_tar
         yield from read(path, wanted)
     except DAMAGE as error:
         raise DataError(f"{path} is not a complete tar or zip archive ({error}); download or copy it again") from None
 
 
 def walk(folder: Path) -> Iterator[Path]:
-    """Yield the paths of all files and folders below a folder, by name. Raises DataError for a link to a folder."""
+    """Yield the paths of all files and folders below a folder, by name, but of hidden folders nothing that is in them.
+
+    Raises DataError for a link to a folder.
+    """
     with os.scandir(folder) as found:
         names = sorted(entry.name for entry in found)
     for name in names:
         path = folder / name
         yield path
-        if path.is_dir():
+        if path.is_dir() and not is_hidden(PurePath(name)):
             if path.is_symlink():
                 raise DataError(f"{path} is a link to a folder; copy the folder there, or name it itself")
             yield from walk(path)
+
+
+def is_hidden(name: PurePath) -> bool:
+    """Whether a path inside a folder is of those that systems put there for themselves."""
+    return any(part.startswith((".", "__MACOSX")) for part in name.parts)
 
 
 def _read_zip(path: Path, wanted: Wanted) -> Iterator[Entry]:
@@ -108,7 +116,7 @@ def _read_zip(path: Path, wanted: Wanted) -> Iterator[Entry]:
 def _read_tar(path: Path, wanted: Wanted) -> Iterator[Entry]:
     with ExitStack() as opened:
         # Read by tarfile itself, gzip's checksum would not be looked at.
-        unpacked = opened.enter_context(gzip.open(path)) if _start(path) == _GZIP else None
+        unpacked = opened.enter_context(gzip.open(path)) if _start(path).startswith(_GZIP) else None
         form = "r|*" if unpacked is None else "r|"
         archive = opened.enter_context(tarfile.open(path, form, unpacked, tarinfo=_Member))
         for member in archive:
@@ -131,7 +139,7 @@ def _read_tar(path: Path, wanted: Wanted) -> Iterator[Entry]:
 
 def _start(path: Path) -> bytes:
     with path.open("rb") as stream:
-        return stream.read(2)
+        return stream.read(4)
 
 
 def _require_small(path: Path, name: PurePosixPath, size: int) -> None:

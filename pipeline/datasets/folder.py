@@ -4,11 +4,11 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from pathlib import Path, PurePath, PurePosixPath
+from pathlib import Path, PurePosixPath
 
 from tqdm import tqdm
 
-from pipeline.datasets.archives import read_tree
+from pipeline.datasets.archives import is_hidden, read_tree
 from pipeline.datasets.decoding import Fit, decode
 from pipeline.datasets.prepared import SPLITS, Picture
 from pipeline.errors import DataError
@@ -43,14 +43,15 @@ def read_folder(path: Path, config: FolderConfig) -> Iterator[Picture]:
             parts = name.parts if content is None else name.parts[:-1]
             if is_hidden(name):
                 continue
-            if len(parts) < 2 or parts[-2] not in counts:
+            is_picture = name.suffix.lower() in ENDINGS
+            if len(parts) < 2 or parts[-2] not in counts or (content is not None and not is_picture):
                 others.note(name)
                 continue
             split, category = parts[-2:]
             if content is None and category in counts:
                 continue  # the whole source may lie in a folder `test`
             counts[split][category] += 0
-            if content is not None and name.suffix.lower() in ENDINGS:
+            if content is not None:
                 pixels = decode(content, f"{path}: {name}", config.size, config.fit)
                 counts[split][category] += 1
                 progress.update()
@@ -64,11 +65,6 @@ def category_of(name: PurePosixPath) -> str | None:
     folder = name.parent
     is_picture = name.suffix.lower() in ENDINGS and folder.parent.name in SPLITS and not is_hidden(name)
     return folder.name if is_picture else None
-
-
-def is_hidden(name: PurePath) -> bool:
-    """Whether a path inside a folder is of those that systems put there for themselves."""
-    return any(part.startswith((".", "__MACOSX")) for part in name.parts)
 
 
 class _Others:

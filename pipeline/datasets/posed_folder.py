@@ -6,8 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
-from pipeline.datasets.archives import read_tree
-from pipeline.datasets.folder import is_hidden
+from pipeline.datasets.archives import is_hidden, read_tree
 from pipeline.datasets.prepared import Names, Truth
 from pipeline.datasets.truth import Viewpoints, viewpoints_of_boxes
 from pipeline.errors import DataError

@@ -75,7 +75,7 @@ FORMS = {
     "train_index": _Form(np.integer, np.int64, (("M",),)),
     "test_angles": _Form(np.floating, np.float32, (("test", 3),)),
     "masks": _Form(np.bool_, np.bool_, (("test", "size", "size"),)),
-    "vertices": _Form(np.floating, np.float32, (("test", "V", 3),)),
+    "vertices": _Form(np.floating, np.float64, (("test", "V", 3),)),
     "faces": _Form(np.integer, np.int64, (("F", 3), ("test", "F", 3))),
     "images": _Form(np.uint8, np.uint8, (("test", "size", "size", 3),)),
 }
@@ -189,7 +189,7 @@ def _pose(where: str, angles: Float[Tensor, "N 3"]) -> Pose:
 
 
 def _meshes(path: Path, vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 3"] | Int[Tensor, "N F 3"]) -> Meshes:
-    """Take off what fills up, and require solids."""
+    """Take off what fills up, and require solids; vertices in float64 become float32."""
     rows = faces if faces.ndim == 3 else faces[None]
     valid = ((rows >= 0) & (rows < vertices.shape[1])).all(dim=2)
     if not bool((valid | (rows == -1).all(dim=2)).all()) or not bool(valid.any(dim=1).all()):
@@ -199,7 +199,7 @@ def _meshes(path: Path, vertices: Float[Tensor, "N V 3"], faces: Int[Tensor, "F 
         )
     own = [some[keep] for some, keep in zip(rows, valid, strict=True)]
     parts = zip(vertices.split(len(vertices) // len(own)), own, strict=True)
-    kept = torch.cat([_without_unused(shapes, joined) for shapes, joined in parts])
+    kept = torch.cat([_at_hand(_without_unused(shapes, joined)).float() for shapes, joined in parts])
     for number, (shape, joined) in enumerate(zip(kept, own * (len(kept) // len(own)), strict=True)):
         _require_solid(f"{path}: the mesh of 'vertices' and 'faces' for picture {number}", shape, joined)
     return Meshes(kept, own)
@@ -210,6 +210,18 @@ def _without_unused(vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"])
     kept = vertices[:, used[:1]].repeat(1, vertices.shape[1], 1)
     kept[:, used] = vertices[:, used]
     return kept
+
+
+def _at_hand(vertices: Float[Tensor, "B V 3"]) -> Float[Tensor, "B V 3"]:
+    """Bring meshes of any size and place to where float32 resolves them.
+
+    They are moved by whole lengths of their longest side and scaled by powers of two: no digit of those that are
+    around the origin changes.
+    """
+    lower, upper = vertices.amin(dim=1, keepdim=True), vertices.amax(dim=1, keepdim=True)
+    longest_side = (upper - lower).amax(dim=2, keepdim=True).clamp(min=torch.finfo(vertices.dtype).tiny)
+    moved = vertices - ((lower + upper) / 2 / longest_side).round() * longest_side
+    return moved * torch.exp2(-longest_side.frexp().exponent.to(vertices))
 
 
 def _require_solid(which: str, vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]) -> None:

@@ -44,8 +44,8 @@ def vertex_deviation(vertices: Float[Tensor, "B V 3"]) -> Float[Tensor, " B"]:
 
 def proportions(vertices: Float[Tensor, "B V 3"]) -> Float[Tensor, "B 2"]:
     """Return the logarithms of width and height over length: how wide (x) and high (y) a shape is for its depth (z)."""
-    extents = (vertices.amax(dim=1) - vertices.amin(dim=1)).log()
-    return extents[:, :2] - extents[:, 2:]
+    extents = vertices.amax(dim=1) - vertices.amin(dim=1)
+    return (extents[:, :2] / extents[:, 2:]).log()
 
 
 def sample_surface(

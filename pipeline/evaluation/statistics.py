@@ -7,6 +7,8 @@ from torch import Tensor
 Figure = dict[str, float | int]
 
 BOOTSTRAP_DRAWS = 200
+ROUNDING = 1e-6
+"""Deviation below which float32 values of about 1 say nothing."""
 
 
 def mean_figure(values: Float[Tensor, " B"] | Bool[Tensor, " B"]) -> Figure:
@@ -20,13 +22,13 @@ def mean_figure(values: Float[Tensor, " B"] | Bool[Tensor, " B"]) -> Figure:
 
 
 def correlation_figure(first: Float[Tensor, " B"], second: Float[Tensor, " B"]) -> Figure:
-    """Summarize how far two quantities vary together by their correlation; 0 where one of them is constant.
+    """Summarize how far two quantities vary together by their correlation; 0 where one is constant, but for rounding.
 
     The standard error is that of large samples from a normal distribution.
     """
     one, other = (values.double() - values.double().mean() for values in (first, second))
-    scale = (one.norm() * other.norm()).item()
-    correlation = (one @ other).item() / scale if scale > 0 else 0.0
+    varies = min(one.std(), other.std()) > ROUNDING
+    correlation = (one @ other / (one.norm() * other.norm())).item() if varies else 0.0
     return {
         "value": correlation,
         "n": len(first),

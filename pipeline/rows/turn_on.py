@@ -128,6 +128,8 @@ def _turn_on_run(document: CommentedMap, dataset: str, category: str, options: O
     row = document["rows"][options.row]
     own = (dataset, category) != (row["dataset"], row["category"])
     subject = f"{dataset}-{category}" if own else options.row
+    if own and subject in document["rows"]:
+        subject = f"{subject}-as-{options.row}"  # the other row's results have that name
     entry = {"row": options.row, "size": options.size, "ablation": options.ablation, "seed": options.seed}
     entry |= {"dataset": dataset, "category": category, "features": _features_name(dataset, options)}
     name = _name(subject, entry)

@@ -40,6 +40,17 @@ def test_a_longer_tree_takes_hardly_more_memory(
     assert peaks[1] - peaks[0] < 2000 * 150  # bytes a file: its name at most
 
 
+def test_what_lies_in_hidden_folders_is_not_looked_at(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "folder", tree() | {".venv/bin/python": b"x", "__MACOSX/1.jpg": b"x"})
+    (folder / ".venv/lib64").symlink_to(folder)
+    assert contents(folder) == tree()
+
+
+def test_a_tar_may_begin_with_any_name(tmp_path: Path) -> None:
+    files = {"PKW/1.jpg": b"x"}
+    assert contents(write_tar(tmp_path / "cars.tar", files)) == files
+
+
 def test_what_is_not_wanted_is_left_out(tmp_path: Path) -> None:
     sources = [write_folder(tmp_path / "folder", tree()), write_zip(tmp_path / "pictures.zip", tree())]
     for source in (*sources, write_tar(tmp_path / "pictures.tar.gz", tree())):

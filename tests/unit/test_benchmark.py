@@ -225,6 +225,17 @@ def changed(array: np.ndarray, place: Any, value: float) -> np.ndarray:
     return copy
 
 
+@pytest.mark.parametrize(("size", "place"), [(1e-300, 0.0), (1e300, 0.0), (1.0, 1e7), (3.0, -1e9)])
+def test_meshes_may_have_any_size_and_place(
+    project: Path, ours: Arrays, size: float, place: float, tmp_path: Path
+) -> None:
+    whole = measure(project, tmp_path, ours)["shape"]["test"]
+    vertices = ours["vertices"].astype(np.float64) * size + place
+    moved = measure(project, tmp_path, ours | {"vertices": vertices})["shape"]["test"]
+    for name in ("voxel_iou", "chamfer_l1"):
+        assert moved[name]["value"] == pytest.approx(whole[name]["value"], rel=2e-3)
+
+
 @pytest.mark.parametrize(
     ("name", "change", "message"),
     [
@@ -252,7 +263,7 @@ def changed(array: np.ndarray, place: Any, value: float) -> np.ndarray:
         ),
         (
             "vertices",
-            lambda vertices: vertices.astype(np.float64) * 1e300,
+            lambda vertices: changed(vertices, (0, 5, 1), np.inf),
             r"'vertices' has NaN or infinity in its entry 0; expected fin",
         ),
         (

@@ -1,6 +1,7 @@
 """The command line, on a project with a tiny trained model."""
 
 import base64
+import errno
 import json
 import math
 import os
@@ -9,6 +10,8 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -21,7 +24,9 @@ from ruamel.yaml import YAML
 from torch import Tensor
 
 from pipeline.cli import doctor
+from pipeline.cli import reconstruct as reconstruction
 from pipeline.cli.__main__ import main
+from pipeline.cli.outputs import Found
 from pipeline.cli.photographs import Target, Task, list_tasks
 from pipeline.datasets.decoding import Fit, decode
 from pipeline.errors import DataError
@@ -237,9 +242,38 @@ def test_what_is_made_of_another_photograph_stays(
     assert "0 already there, 1 failed" in printed
     assert (project / "out/car_pose.json").read_text() == first
     (project / "out/car_photograph.sha256").unlink()
+    assert "car_pose.json" not in reconstruct(project, photographs[0], "--outputs", "mesh")
+    capsys.readouterr()
     reconstruct(project, *photographs, "--outputs", "pose")
     assert "1 already there, 0 failed" in capsys.readouterr().out
     assert (project / "out/car_pose.json").read_text() == (project / "out/van_pose.json").read_text() != first
+
+
+def test_what_was_not_written_is_not_already_there(
+    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reconstruct(project, str(tmp_path / "car.png"), "--outputs", "mesh,pose")
+    first = (project / "out/car.glb").read_bytes()
+    shutil.copy(tmp_path / "van.png", tmp_path / "car.png")
+    (project / "out/car_photograph.sha256").unlink()
+    full = patch("pipeline.cli.outputs.write_glb", side_effect=OSError(errno.ENOSPC, "No space left on device"))
+    with full, pytest.raises(SystemExit, match="No space left on device"):
+        reconstruct(project, str(tmp_path / "car.png"), "--outputs", "mesh,pose")
+    reconstruct(project, str(tmp_path / "car.png"), "--outputs", "mesh,pose")
+    assert "1 written to" in capsys.readouterr().out
+    assert (project / "out/car.glb").read_bytes() != first
+
+
+def test_a_photograph_that_is_replaced_meanwhile_is_told(project: Path, tmp_path: Path) -> None:
+    def replaced(*arguments: Any) -> list[Found]:
+        shutil.copy(tmp_path / "van.png", tmp_path / "car.png")
+        return infer(*arguments)
+
+    infer = reconstruction._inferred
+    sentence = r"^error: \S*car\.png was replaced while it was reconstructed; run the same command again$"
+    with patch.object(reconstruction, "_inferred", replaced), pytest.raises(SystemExit, match=sentence):
+        reconstruct(project, str(tmp_path / "car.png"), "--outputs", "mesh,picture")
+    assert not list((project / "out").glob("car*"))
 
 
 def test_a_folder_without_reconstructions_is_free_for_any(
@@ -259,6 +293,18 @@ def test_photographs_and_what_is_written_do_not_share_a_folder(tmp_path: Path) -
         for out in (photographs / "sub" / "..", tmp_path):
             with pytest.raises(DataError, match="is the folder of the photographs or one above it; name another for"):
                 list_tasks([given], out)
+
+
+@pytest.mark.parametrize("other", ["", "tuned"])
+def test_folders_of_outputs_do_not_lie_in_each_other(tmp_path: Path, other: str) -> None:
+    photographs = write_folder(tmp_path / "photographs", {"tuned/car.png": b""})
+    write_folder(tmp_path / "meshes" / other, {"reconstruct.json": b"{}"})
+    out = tmp_path / "meshes" if other else tmp_path / "meshes/tuned/more"
+    with pytest.raises(
+        DataError, match=rf"meshes/?{other} is another folder of outputs, and .* is inside or around it"
+    ):
+        list_tasks([photographs], out)
+    assert len(list_tasks([photographs], tmp_path / "meshes" / other)) == 1
 
 
 def test_a_linked_folder_of_photographs_is_not_passed_over(tmp_path: Path) -> None:
@@ -361,10 +407,12 @@ def test_a_folder_that_cannot_be_written_is_said_before_anything_is_inferred(pro
         reconstruct(project, str(tmp_path / "car.png"))
 
 
-def test_a_name_of_spaces_becomes_one(tmp_path: Path) -> None:
-    (tmp_path / " .png").touch()
-    for given in (tmp_path, tmp_path / " .png"):
-        assert list_tasks([given], tmp_path / "out") == [Task(tmp_path / " .png", Target(tmp_path / "out/_"))]
+@pytest.mark.parametrize(("name", "becomes"), [(" .png", "_"), ("..png", "._"), ("...png", ".._")])
+def test_a_name_of_spaces_or_dots_becomes_one(tmp_path: Path, name: str, becomes: str) -> None:
+    (tmp_path / name).touch()
+    assert list_tasks([tmp_path / name], tmp_path / "out") == [
+        Task(tmp_path / name, Target(tmp_path / "out" / becomes))
+    ]
 
 
 def test_a_closed_pipe_is_no_error(project: Path) -> None:

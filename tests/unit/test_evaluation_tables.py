@@ -31,7 +31,8 @@ def test_correlation_of_what_varies_together_against_each_other_and_not_at_all()
     half = correlation_figure(values, values + noise)
     assert abs(half["value"] - 0.5**0.5) < 0.05
     assert abs(half["standard_error"] - 0.5 / 2000**0.5) < 2e-3
-    assert correlation_figure(values, torch.zeros(2000))["value"] == 0
+    for constant in (torch.zeros(2000), 1 + 1e-7 * values):
+        assert correlation_figure(values, constant)["value"] == 0
 
 
 def test_standard_error_of_a_normal_median() -> None:

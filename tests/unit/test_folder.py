@@ -60,9 +60,13 @@ def test_what_may_have_been_meant_as_a_picture_is_told(
 
 
 @pytest.mark.parametrize("around", ["test", "train"])
-def test_an_outer_folder_may_be_called_as_a_split(tmp_path: Path, around: str) -> None:
+@pytest.mark.parametrize("write", [write_folder, write_tar])
+def test_an_outer_folder_may_be_called_as_a_split(
+    tmp_path: Path, around: str, write: Callable[[Path, dict[str, bytes]], Path]
+) -> None:
     files = {f"{around}/{name}": content for name, content in tree().items()}
-    assert len(list(read_folder(write_folder(tmp_path, files), CONFIG))) == len(files)
+    source = write(tmp_path / "pictures.tar", files | {f"{around}/train/labels.csv": b"", f"{around}/test/NOTES": b""})
+    assert len(list(read_folder(source, CONFIG))) == len(files)
 
 
 def test_a_category_may_be_called_as_a_split(tmp_path: Path) -> None:

@@ -137,6 +137,14 @@ def test_names_say_what_is_unusual(params: Path, photographs: Path) -> None:
     assert document["datasets"]["market"]["source"] == str(photographs)
 
 
+def test_a_run_by_a_row_has_no_other_row_s_name(params: Path) -> None:
+    assert turn_on(params, Options("toybox-car", category="chair", seed=1)) == "toybox-chair-as-toybox-car-seed1"
+    assert turn_on(params, Options("toybox-chair", seed=1)) == "toybox-chair-seed1"
+    runs, rows = (entries(params, section) for section in ("runs", "base_shapes"))
+    for section in (runs, rows):
+        assert section["toybox-chair-as-toybox-car-seed1"]["row"] == "toybox-car"
+
+
 def test_a_base_shape_that_was_chosen_stays_chosen(params: Path) -> None:
     turn_on(params, Options("toybox-chair"))
     document = round_trip_yaml().load(params)
