@@ -76,8 +76,8 @@ def _upright(content: bytes, name: str) -> Image.Image:
     with reading(name):
         picture = ImageOps.exif_transpose(Image.open(io.BytesIO(content)))
         picture.load()
-    if picture.mode != "RGB":
-        mode = picture.mode
+    if picture.mode != "RGB" or picture.has_transparency_data:
+        mode = picture.mode if picture.mode != "RGB" else "RGB with a transparent colour"
         raise DataError(
             f"{name} has the colour mode {mode}; expected RGB; convert it (`kato3d arrange` does) or remove it"
         )

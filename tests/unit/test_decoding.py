@@ -85,6 +85,15 @@ def test_a_damaged_colour_profile_is_refused() -> None:
         decode(stream.getvalue(), "1.png", 32, "crop")
 
 
+def test_a_transparent_colour_is_refused() -> None:
+    stream = io.BytesIO()
+    Image.new("RGB", (32, 32), (9, 9, 9)).save(stream, "PNG", transparency=(9, 9, 9))
+    with pytest.raises(
+        DataError, match=r"^1\.png has the colour mode RGB with a transparent colour; expected RGB; conv"
+    ):
+        decode(stream.getvalue(), "1.png", 32, "crop")
+
+
 @pytest.mark.parametrize("mode", ["L", "RGBA", "P", "1"])
 def test_another_colour_mode_is_refused(mode: str) -> None:
     with pytest.raises(
