@@ -5,6 +5,7 @@ import json
 import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -76,7 +77,7 @@ def entries(path: Path, key: str) -> dict[str, dict[str, Any]]:
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        document = yaml.load(path.read_text(encoding="utf-8"), _Loader)
+        document = _parse(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigError(f"{path} does not exist; run this in the project's folder or name it: --project") from None
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -84,6 +85,12 @@ def _read(path: Path) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise ConfigError(f"{path} must hold sections of keys and values")
     return document
+
+
+@cache
+def _parse(text: str) -> Any:
+    """Parse a text once: a stage reads the same file for each of its sections."""
+    return yaml.load(text, _Loader)
 
 
 def _find(document: dict[str, Any], dotted: str, path: Path) -> Any:
