@@ -1,5 +1,7 @@
 """The parameters of a new checkout, whatever its user has turned on since."""
 
+from functools import cache
+from io import BytesIO
 from pathlib import Path
 
 from pipeline.rows.params_file import round_trip_yaml
@@ -33,10 +35,16 @@ ON = {
 
 def write_fresh_params(path: Path) -> Path:
     """Write the project's parameters with the toybox car alone turned on."""
-    yaml = round_trip_yaml()
+    path.write_bytes(_fresh_params())
+    return path
+
+
+@cache
+def _fresh_params() -> bytes:
+    yaml, text = round_trip_yaml(), BytesIO()
     document = yaml.load(ROOT / "params.yaml")
     for section, entries in ON.items():
         document[section].clear()
         document[section].update(entries)
-    yaml.dump(document, path)
-    return path
+    yaml.dump(document, text)
+    return text.getvalue()

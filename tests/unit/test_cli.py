@@ -39,10 +39,11 @@ from tests.picture_trees import write_folder
 from tests.tiny_full_model import photographs, tiny_model
 
 
-@pytest.fixture
-def project(tmp_path: Path) -> Path:
+@pytest.fixture(scope="module")
+def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Write the parameters with few steps, the model and the features of the run `toybox-car`, and two photographs."""
-    folder = tmp_path / "project"
+    parent = tmp_path_factory.mktemp("original")
+    folder = parent / "project"
     (folder / "models").mkdir(parents=True)
     yaml = YAML(typ="safe")
     params = yaml.load(write_fresh_params(folder / "params.yaml"))
@@ -55,8 +56,15 @@ def project(tmp_path: Path) -> Path:
     save_tensors(folder / "models/full/toybox-car.safetensors", model.state_dict(), full_model_texts(model))
     save_feature_extractor(folder / "models/features/toybox-laptop.safetensors", WideResNet(10, 1, 2), 2.0, {})
     for name, picture in zip(("car", "van"), photographs(2)[0], strict=True):
-        Image.fromarray(picture.permute(1, 2, 0).contiguous().numpy()).save(tmp_path / f"{name}.png")
-    return folder
+        Image.fromarray(picture.permute(1, 2, 0).contiguous().numpy()).save(parent / f"{name}.png")
+    return parent
+
+
+@pytest.fixture
+def project(tmp_path: Path, original: Path) -> Path:
+    """Copy the project to a folder of its own, and the photographs beside it."""
+    shutil.copytree(original, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "project"
 
 
 def reconstruct(project: Path, *words: str) -> list[str]:
