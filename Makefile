@@ -9,6 +9,9 @@ NAMES := ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASELINE
 WORDS := $(foreach name,$(.VARIABLES),$(if $(filter command,$(firstword $(origin $(name)))),$(name)))
 OPTIONS := $(foreach option,$(filter $(WORDS),$(NAMES)),$(if $($(option)),$(option)))
 STRAY := $(firstword $(filter-out $(NAMES) PYTHON -%,$(WORDS)))
+ifneq ($(filter-out hologan colmap,$(if $(filter BASELINE,$(OPTIONS)),$(BASELINE))),)
+$(error BASELINE is $(BASELINE); expected hologan or colmap)
+endif
 # The stages' commands in dvc.yaml call `python`.
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 # Threads that wait should spin for a moment and then sleep: spinning on halves the speed of a busy machine, sleeping at
@@ -56,6 +59,7 @@ clean:  ## remove the environment and restart states; models and results stay
 
 $(STAMP): constraints.txt pyproject.toml
 	@$(BIN)/python -c "import pip, sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))" 2> /dev/null || $(PYTHON) -m venv --clear .venv
+	@echo "installing into .venv: two to three minutes"
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[pipeline]"
 	@$(BIN)/python -c "import pymeshlab" || { echo "MeshLab does not load: install the libraries of OpenGL, on Debian and Ubuntu by apt-get install libgl1 libopengl0" >&2; exit 1; }
 	touch $@

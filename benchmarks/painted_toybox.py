@@ -73,7 +73,7 @@ def main() -> None:
     """Write photographs, reconstructions and the figure."""
     parser = ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, metavar="FOLDER")
-    parser.add_argument("--figure", type=Path, required=True)
+    parser.add_argument("--figure", type=Path, help="a picture of all of them")
     arguments = parser.parse_args()
     run = find_run(Path(), RUN)
     device = resolve_device(scalar(run.params, "device"))
@@ -83,7 +83,8 @@ def main() -> None:
     for way, out in folders.items():
         steps = Steps(fine_tune=True, paint=way == "painted")
         reconstruct(list_tasks([photographs], out), run, out, OUTPUTS, steps, device)
-    write_png(arguments.figure, draw(sorted(photographs.glob("*.png")), folders))
+    if arguments.figure:
+        write_png(arguments.figure, draw(sorted(photographs.glob("*.png")), folders))
 
 
 if __name__ == "__main__":

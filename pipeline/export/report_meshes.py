@@ -57,7 +57,7 @@ def base_exhibit(base: Float[Tensor, "V 3"], gallery: Gallery) -> Exhibit:
     return Exhibit(
         key="base",
         group=BASE_SHAPES,
-        name="base as trained",
+        name="after full training",
         glb=encode_glb(mesh, texture),
         textured=True,
         azimuth=CORNER_AZIMUTH,

@@ -44,7 +44,7 @@ def headline(figures: Mapping[str, Any]) -> list[Tile]:
     tiles.insert(1, _tile(shape["test"]["mask_iou"], "mask IoU", f"constant {constant_mask:.3f}"))
     if "final_base" in shape:  # which single-stage training does not have
         volume = shape["final_base"]["voxel_iou"]
-        name = "volume IoU of the base shape as trained"
+        name = "volume IoU of the base shape after full training"
         tiles.insert(1, _tile(volume, name, f"constant {constant_shape:.3f}"))
     return tiles
 

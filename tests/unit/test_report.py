@@ -126,7 +126,7 @@ def test_headline_compares_fine_tuned_pictures_with_those_before() -> None:
     notes = {tile.label: (tile.value, tile.note) for tile in headline(inputs(truth=True).figures)}
     assert notes == {
         "of poses within 30°": ("0.500", "chance 0.150 · constant 0.300 · n = 4"),
-        "volume IoU of the base shape as trained": ("0.550", "constant 0.400"),
+        "volume IoU of the base shape after full training": ("0.550", "constant 0.400"),
         "mask IoU": ("0.700", "constant 0.450"),
         "improved by fine-tuning": ("75.0%", "feature distance 0.500 → 0.400"),
         "structural similarity": ("0.600", "0.500 before fine-tuning"),
@@ -207,7 +207,7 @@ def test_single_stage_training_has_no_volume_of_a_base_shape_in_its_headline() -
     figures = inputs(truth=True).figures
     single_stage = {**figures, "shape": {name: value for name, value in figures["shape"].items() if "base" not in name}}
     dropped = {tile.label for tile in headline(figures)} - {tile.label for tile in headline(single_stage)}
-    assert dropped == {"volume IoU of the base shape as trained"}
+    assert dropped == {"volume IoU of the base shape after full training"}
 
 
 def test_the_seed_that_was_chosen_is_marked(tmp_path: Path) -> None:

@@ -58,7 +58,9 @@ def test_the_official_cifar10_may_have_another_name(tmp_path: Path) -> None:
 @pytest.mark.parametrize("form", WRITERS)
 def test_a_source_without_categories_is_refused(tmp_path: Path, form: str) -> None:
     path = write(tmp_path, form, {"cars/1.jpg": b""})
-    with pytest.raises(DataError, match="has no pictures at train/<category>/ and test/<category>/; arrange them so"):
+    with pytest.raises(
+        DataError, match="has no pictures at train/<category>/ and test/<category>/; `kato3d arrange` puts"
+    ):
         survey(path)
 
 
