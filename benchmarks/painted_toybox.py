@@ -1,8 +1,8 @@
 """Reconstruct toybox cars from photographs four times as large as the model's, with and without painting.
 
-Run `python -m benchmarks.painted_toybox FOLDER --figure OUT.png` after `make repro`. The folder gets photographs of the
-first test cars, which the model has not learned from, and what `kato3d reconstruct --fine-tune` makes of them; the
-figure shows them.
+Run `python -m benchmarks.painted_toybox FOLDER` after `make repro`. The folder gets photographs of the first test cars,
+which the model has not learned from, and what `kato3d reconstruct --fine-tune` makes of them; `--figure OUT.png` draws
+them too.
 """
 
 from argparse import ArgumentParser

@@ -27,7 +27,7 @@ def correlation_figure(first: Float[Tensor, " B"], second: Float[Tensor, " B"]) 
     The standard error is that of large samples from a normal distribution.
     """
     one, other = (values.double() - values.double().mean() for values in (first, second))
-    varies = min(one.std(), other.std()) > ROUNDING
+    varies = min(one.std(correction=0), other.std(correction=0)) > ROUNDING
     correlation = (one @ other / (one.norm() * other.norm())).item() if varies else 0.0
     return {
         "value": correlation,

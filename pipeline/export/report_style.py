@@ -37,13 +37,14 @@ td small { color: var(--soft); }
 tr.baseline td { color: var(--soft); font-style: italic; }
 details { border-top: 1px solid var(--line); padding: .6rem 0; } summary { cursor: pointer; font-weight: 600; }
 img { display: block; max-width: 100%; } .pixels { image-rendering: pixelated; }
-.seeds { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr)); gap: .9rem; margin: 1rem 0; }
+.seeds, .charts, .examples { display: grid; gap: .9rem; margin: 1rem 0;
+  grid-template-columns: repeat(auto-fill, minmax(min(var(--least, 300px), 100%), 1fr)); }
 figure { margin: 0; }
 .card { background: var(--card); border: 1px solid var(--line); border-radius: 12px; padding: .6rem; }
 .card img { width: 100%; border-radius: 6px; }
 figcaption { font-size: .82rem; margin-top: .4rem; font-variant-numeric: tabular-nums; }
 .chosen { border: 2px solid var(--accent); } .chosen figcaption b { color: var(--accent); }
-.examples { display: grid; grid-template-columns: repeat(auto-fill, minmax(320px, 1fr)); gap: .9rem; margin: 1rem 0; }
+.examples { --least: 320px; }
 .four { display: grid; grid-template-columns: repeat(4, minmax(0, 1fr)); gap: 5px; }
 .four span { font-size: .7rem; color: var(--soft); text-align: center; line-height: 1.2; }
 .look { display: grid; grid-template-columns: minmax(0, 3fr) minmax(0, 2fr); gap: 1.2rem; align-items: start; }
@@ -80,7 +81,6 @@ button[aria-pressed=true] { border-color: var(--accent); box-shadow: inset 0 0 0
 @media (max-width: 700px) { .look { grid-template-columns: minmax(0, 1fr); gap: .8rem; }
   .panel { display: contents; } .shown { order: -1; margin: 0; } .controls { order: 1; } .beside { order: 2; } }
 .strip { overflow-x: auto; } .strip img { height: 96px; max-width: none; }
-.charts { display: grid; grid-template-columns: repeat(auto-fill, minmax(300px, 1fr)); gap: .9rem; margin: 1rem 0; }
 .chart { background: var(--card); border: 1px solid var(--line); border-radius: 12px; padding: .6rem; }
 svg { display: block; width: 100%; height: auto; }
 svg text { font-size: 12px; fill: var(--soft); } svg .name { font-size: 13px; fill: var(--ink); }

@@ -14,7 +14,7 @@
   let started = false, onScreen = false, spinning = false, frame = 0, before = 0;
 
   const scene = new THREE.Scene();
-  const camera = new THREE.PerspectiveCamera(Number(viewer.dataset.fieldOfView), 1, 0.1, 10);
+  const camera = new THREE.PerspectiveCamera(Number(viewer.dataset.fieldOfView), 1);
   const lamp = new THREE.DirectionalLight(0xffffff, 0.75);
   lamp.position.set(-0.6, 0.9, 0.4); // upper left of the camera, which carries it
   camera.add(lamp);
@@ -91,11 +91,11 @@
     draw();
   }
 
-  function look(azimuth, elevation) {
+  function look(azimuth, elevation, moved = null) { // a slider that is being moved stays where it is
     view.azimuth = 180 - THREE.MathUtils.euclideanModulo(180 - azimuth, 360); // above -180, up to 180
     view.elevation = THREE.MathUtils.clamp(elevation, Number(sliders.elevation.min), Number(sliders.elevation.max));
     for (const [name, slider] of Object.entries(sliders)) {
-      slider.value = view[name];
+      if (slider !== moved) slider.value = view[name];
       slider.setAttribute('aria-valuetext', `${slider.value} degrees`);
       slider.parentElement.nextElementSibling.textContent = `${slider.value}°`;
     }
@@ -117,6 +117,9 @@
     camera.position.set(Math.sin(azimuth) * level, Math.sin(elevation), Math.cos(azimuth) * level);
     camera.position.multiplyScalar(mesh.geometry.boundingSphere.radius / Math.sin(radians(camera.fov / 2)));
     camera.lookAt(0, 0, 0);
+    camera.far = camera.position.length() + 2 * mesh.geometry.boundingSphere.radius;
+    camera.near = camera.far / 100;
+    camera.updateProjectionMatrix();
     renderer.render(scene, camera);
   }
 
@@ -135,7 +138,7 @@
   for (const option of surfaces) option.addEventListener('change', () => { surface = option.value; dress(); });
   for (const slider of Object.values(sliders)) slider.addEventListener('input', () => {
     spin(false);
-    look(Number(sliders.azimuth.value), Number(sliders.elevation.value));
+    look(Number(sliders.azimuth.value), Number(sliders.elevation.value), slider);
   });
   spinButton.addEventListener('click', () => spin(!spinning));
   find('[name=home]').addEventListener('click', () => { spin(false); home(); });
@@ -146,6 +149,7 @@
     choose(choices.find(choice => choice.value === link.dataset.exhibit));
     canvas.focus({ preventScroll: true });
   });
+  canvas.addEventListener('webglcontextrestored', draw);
   canvas.addEventListener('keydown', event => {
     if (event.altKey || event.ctrlKey || event.metaKey) return; // the browser's own, such as going back
     if (event.key === 'Home') { spin(false); home(); } else if (KEYS[event.key]) turn(...KEYS[event.key]); else return;

@@ -12,8 +12,8 @@ def voxelize(vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], resolu
     """Tell which voxels of the unit cube [-0.5, 0.5]^3 have their centre inside each mesh.
 
     The grid has `resolution` voxels along x, y and z, in this order of axes. Inside means a winding number other than
-    0, so overlapping parts count once and the orientation of the faces does not matter. The mesh must be closed; it
-    may intersect itself. Geometry outside the cube is cut off.
+    0, so overlapping parts of one orientation count once, whichever it is. The mesh must be closed; it may intersect
+    itself. Geometry outside the cube is cut off.
     """
     return torch.cat([_voxelize(chunk, faces, resolution) for chunk in vertices.split(MESHES_AT_ONCE)])
 

@@ -33,4 +33,6 @@ def to_float(images: UInt8[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
 
 
 def _reflect(position: Int[Tensor, "..."], size: int) -> Int[Tensor, "..."]:
-    return (size - 1) - ((size - 1) - position.abs()).abs()
+    there_and_back = max(2 * (size - 1), 1)
+    position = position.remainder(there_and_back)
+    return torch.minimum(position, there_and_back - position)

@@ -101,6 +101,42 @@ def test_the_azimuth_slider_goes_round_the_object_as_the_conventions_say(open_pa
     numpy.testing.assert_allclose(color(picture, 0.6), BLUE, atol=0.03)
 
 
+def test_a_slider_stays_where_it_is_moved(open_page: Open) -> None:
+    page = open_page(**STILL)
+    slider(page, "azimuth").focus()
+    page.keyboard.press("Home")
+    assert angles(page)[0] == "-180"
+    numpy.testing.assert_allclose(color(seen(page), 0.5), BLUE, atol=0.03)
+
+
+def test_a_context_that_was_lost_is_drawn_again(open_page: Open) -> None:
+    page = open_page(**STILL)
+    page.evaluate(
+        """async () => {
+            const context = document.querySelector('canvas').getContext('webgl2').getExtension('WEBGL_lose_context');
+            context.loseContext();
+            await new Promise(done => setTimeout(done, 200));
+            context.restoreContext();
+            await new Promise(done => setTimeout(done, 200));
+        }"""
+    )
+    numpy.testing.assert_allclose(color(seen(page), 0.5), ORANGE, atol=0.03)
+
+
+def test_a_camera_from_afar_sees_the_mesh(open_page: Open, address: str, tmp_path: Path) -> None:
+    text = Path(address.removeprefix("file://")).read_text()
+    usual = f'data-field-of-view="{CAMERA.field_of_view:g}"'
+    assert usual in text
+    (tmp_path / "index.html").write_text(text.replace(usual, 'data-field-of-view="2"'))
+    page = open_page((tmp_path / "index.html").as_uri(), **STILL)
+    numpy.testing.assert_allclose(color(seen(page), 0.5), ORANGE, atol=0.03)
+
+
+def test_a_narrow_window_shows_the_whole_page(open_page: Open) -> None:
+    page = open_page(viewport={"width": 320, "height": 640}, **STILL)
+    assert page.evaluate("document.documentElement.scrollWidth") == 320
+
+
 def test_the_elevation_slider_changes_the_picture(open_page: Open) -> None:
     page = open_page(**STILL)
     level = seen(page)

@@ -14,6 +14,7 @@ from ruamel.yaml import YAML
 
 from pipeline.export.runs_page import MeasuredRun
 from pipeline.files import read_json, write_json
+from pipeline.rows.turn_on import BASELINES
 from tests.project.import_closure import ROOT
 from tests.project.result_tables import MARKED, PAGES, TABLES, Confusion, Table, render, with_tables
 
@@ -52,6 +53,14 @@ def test_options_are_words_after_make_alone() -> None:
     words = ["make", "--dry-run", "--no-print-directory", "run", "ROW=toybox-car", "SEED=", "SIZE=paper"]
     made = subprocess.run(words, cwd=ROOT, env=environment, check=True, stdout=subprocess.PIPE, text=True).stdout
     assert made.splitlines()[-1] == 'python -m stages.run_row --row "$ROW" --size "$SIZE"'
+
+
+def test_baselines_alone_are_installed_for() -> None:
+    assert f"$(filter-out {' '.join(BASELINES)}," in MAKEFILE
+    words = ["make", "--dry-run", "run", "ROW=toybox-car", "BASELINE=hologram"]
+    made = subprocess.run(words, cwd=ROOT, stderr=subprocess.PIPE, text=True, check=False)
+    assert made.returncode == 2
+    assert "BASELINE is hologram; expected hologan or colmap" in made.stderr
 
 
 def test_words_after_make_run_that_are_no_options_are_errors() -> None:

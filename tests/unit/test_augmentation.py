@@ -31,6 +31,12 @@ def test_every_result_is_a_crop_of_the_reflected_picture_or_its_mirror_image() -
     assert len(seen) > 30
 
 
+def test_a_shift_beyond_the_picture_is_reflected_again() -> None:
+    ramp = torch.arange(4, dtype=torch.uint8).expand(50, 3, 4, 4)
+    steps = crop_and_mirror(ramp, 20, generator(0, "augmentation"))[..., 1:].int().diff(dim=-1)
+    assert (steps.abs() == 1).all()
+
+
 def test_the_same_generator_draws_the_same_batch() -> None:
     images = random_images(5)
     first, second = (crop_and_mirror(images, 2, generator(7, "augmentation")) for _ in range(2))

@@ -60,7 +60,8 @@ def test_result_does_not_depend_on_what_memory_holds(before: str, fill: str, tmp
 @pytest.mark.skipif(find_library("c_malloc_debug") is None, reason="of glibc's debugging malloc")
 def test_memory_is_sound_when_python_ends() -> None:
     checked = {**os.environ, "LD_PRELOAD": "libc_malloc_debug.so.0", "MALLOC_CHECK_": "3"}
-    subprocess.run([sys.executable, "-c", "import pipeline.geometry.meshlab"], cwd=ROOT, env=checked, check=True)
+    words = [sys.executable, "-c", "import pipeline.geometry.meshlab"]
+    assert subprocess.run(words, cwd=ROOT, env=checked, check=False).returncode == 0
 
 
 def test_result_is_symmetric_outward_and_the_same_every_time() -> None:

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from pipeline.geometry.camera import project
 from pipeline.rendering.antialias import antialias
+from pipeline.rendering.compiled import first_writable
 from pipeline.rendering.interpolate import interpolate
 from pipeline.rendering.lighting import Light, shade, vertex_normals
 from pipeline.rendering.rasterize import Fragments, rasterize
@@ -171,6 +172,15 @@ def test_light_from_above_shades_a_sphere() -> None:
     shading = shade(mesh.directions[None], mesh.faces, light)[0]
     expected = 0.25 + 0.5 * mesh.directions[:, 1].clamp(min=0)
     torch.testing.assert_close(shading, expected, atol=0.02, rtol=0)
+
+
+def test_kernels_are_kept_where_something_can_be_written(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    closed, open_ = tmp_path / "file/kernels", tmp_path / "new/kernels"
+    assert first_writable([closed, open_, tmp_path]) == open_
+    passing = first_writable([closed, "~nobody-of-this-name/kernels"])
+    assert passing.is_dir()
+    assert not list(passing.iterdir())
 
 
 @pytest.mark.parametrize("compiler", ["numba", "triton"])
