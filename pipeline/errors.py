@@ -91,7 +91,7 @@ def in_one_sentence() -> Iterator[None]:
             f"error: there is not enough memory ({reason}); lower `memory` or this stage's batch_size in params.yaml"
         )
     except KeyboardInterrupt:
-        sys.stderr.write("stopped\n")
+        sys.stderr.write("stopped; the same command goes on where it can\n")
         sys.exit(_INTERRUPTED)
 
 

@@ -10,9 +10,10 @@ from pipeline.evaluation.artifacts import load_photographs, load_reconstructions
 from pipeline.evaluation.evaluate import EvaluateConfig, chain_result, evaluate_images, evaluate_truth
 from pipeline.evaluation.multiview import evaluate_views
 from pipeline.evaluation.tables import write_table
-from pipeline.files import load_tensors, write_json
+from pipeline.files import write_json
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.full_model import load_full_model
+from pipeline.tensor_files import load_tensors
 from stages.command_line import parse, run
 
 

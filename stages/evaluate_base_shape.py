@@ -11,10 +11,11 @@ from pipeline.evaluation.artifacts import load_true_split
 from pipeline.evaluation.base_shape import base_shape_figures
 from pipeline.export.picture import sheet, write_png
 from pipeline.export.views import SEED_AZIMUTHS, ViewConfig, on_white, render_clay
-from pipeline.files import load_tensors, write_json
+from pipeline.files import write_json
 from pipeline.geometry.camera import CameraConfig
 from pipeline.networks.seed_choice import choose_seed
 from pipeline.ranges import Count
+from pipeline.tensor_files import load_tensors
 from stages.command_line import parse, run
 
 

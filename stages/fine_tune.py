@@ -8,9 +8,10 @@ from torch import Tensor
 from pipeline.config import load, scalar
 from pipeline.datasets.images import load_images, place_images
 from pipeline.device import resolve_device, resolve_memory, resolve_precision
-from pipeline.files import save_tensors, write_json
+from pipeline.files import write_json
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.full_model import load_full_model
+from pipeline.tensor_files import save_tensors
 from pipeline.training.checkpoint import Checkpoint, reserved, restart_key
 from pipeline.training.fine_tune import FineTuneConfig, fine_tune
 from stages.command_line import parse, run

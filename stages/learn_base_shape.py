@@ -9,10 +9,11 @@ from pipeline.config import load, scalar
 from pipeline.datasets.images import load_images_of_size, place_images
 from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.distributed import is_first
-from pipeline.files import save_tensors, write_json
+from pipeline.files import write_json
 from pipeline.launch import resolve_processes, share_work
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.scene_generator import scene_tensors, scene_texts
+from pipeline.tensor_files import save_tensors
 from pipeline.training.base_shape import BaseShapeConfig, BaseShapes, learn_base_shape
 from pipeline.training.checkpoint import Checkpoint, reserved, restart_key
 from stages.command_line import parse, run

@@ -6,11 +6,12 @@ from typing import Literal
 
 from pipeline.config import load
 from pipeline.errors import MeshError
-from pipeline.files import load_tensors, save_tensors, write_json
+from pipeline.files import write_json
 from pipeline.geometry.mesh_quality import measure_remeshing
 from pipeline.geometry.remeshing import IsotropicConfig, MappedMesh, remesh_isotropic
 from pipeline.geometry.sphere_map import SphereMapConfig
 from pipeline.networks.seed_choice import choose_seed
+from pipeline.tensor_files import load_tensors, save_tensors
 from pipeline.training.remesh_silhouette import SilhouetteConfig, remesh_by_silhouettes
 from stages.command_line import parse, run
 

@@ -8,9 +8,10 @@ from pipeline.config import load, scalar
 from pipeline.evaluation.artifacts import load_photographs, load_reconstructions
 from pipeline.evaluation.tables import format_figures, read_table
 from pipeline.export.report import ReportConfig, ReportInputs, write_report
-from pipeline.files import load_tensors, read_json
+from pipeline.files import read_json
 from pipeline.networks.full_model import load_full_model
 from pipeline.networks.seed_choice import load_seed
+from pipeline.tensor_files import load_tensors
 from stages.command_line import parse, run
 
 TRAININGS = ("features", "base_shape", "full")

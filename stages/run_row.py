@@ -5,6 +5,7 @@ import sys
 from argparse import ArgumentParser
 from pathlib import Path
 
+from pipeline.errors import ConfigError
 from pipeline.rows.turn_on import BASELINES, Options, turn_on, turn_on_baseline
 from stages.command_line import run
 
@@ -17,7 +18,7 @@ def main() -> None:
     parser.add_argument("--row", required=True, help="an entry of `rows`: viewpoints, dimensions, colours")
     parser.add_argument("--size", default="laptop", help="an entry of `sizes`")
     parser.add_argument("--ablation", default="none", help="an entry of `ablations`")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seed", type=_seed, default=0)
     parser.add_argument("--source", type=Path, help="folder or archive of the photographs, if not on yet")
     parser.add_argument("--features", type=Path, help="weights of the network that compares pictures, if not on yet")
     parser.add_argument("--dataset", help="a name for photographs of your own; else the row's")
@@ -30,6 +31,12 @@ def main() -> None:
         turn_on_baseline(PARAMS, options.baseline, name)
     # In this process's place, so that Ctrl-C reaches DVC alone, which waits for its stage and releases its lock.
     os.execv(sys.executable, [sys.executable, "-m", "dvc", "repro", f"{stage}@{name}"])
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        raise ConfigError(f"SEED is '{text}'; expected 0 or a greater number")
+    return int(text)
 
 
 if __name__ == "__main__":

@@ -14,9 +14,10 @@ import torch
 from torch import Tensor, nn
 
 from pipeline.distributed import is_first, world
-from pipeline.files import save_tensors, write_json
+from pipeline.files import write_json
 from pipeline.geometry.sphere import build_sphere
 from pipeline.networks.scene_generator import scene_tensors
+from pipeline.tensor_files import save_tensors
 from pipeline.training import ends
 from pipeline.training.base_shape import SeedTrainer, learn_base_shape
 from pipeline.training.candidates import Record

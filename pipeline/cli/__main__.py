@@ -25,7 +25,7 @@ def _ended_by_signals() -> Iterator[None]:
     """Let SIGTERM and SIGHUP end the program as Ctrl-C does, with what is half written removed."""
 
     def end(number: int, _: FrameType | None) -> None:
-        sys.stderr.write("stopped\n")
+        sys.stderr.write("stopped; the same command goes on where it can\n")
         sys.exit(128 + number)
 
     # One that is ignored stays so: that is what nohup does.
@@ -105,19 +105,21 @@ def _parser() -> ArgumentParser:
     return parser
 
 
-# Commands import what they need: PyTorch alone takes seconds.
+# Commands import what they need, after what needs no more of it to be refused: PyTorch alone takes seconds.
 
 
 def _reconstruct(arguments: Namespace) -> None:
     from pipeline.cli.photographs import list_tasks
-    from pipeline.cli.reconstruct import Steps, reconstruct
     from pipeline.cli.runs import find_run
+
+    run, out = find_run(arguments.project, arguments.run), arguments.out
+    tasks = list_tasks(arguments.photographs, out)
+
+    from pipeline.cli.reconstruct import Steps, reconstruct
     from pipeline.config import scalar
     from pipeline.device import resolve_device
 
-    run, out = find_run(arguments.project, arguments.run), arguments.out
     device = resolve_device(scalar(run.params, "device"))
-    tasks = list_tasks(arguments.photographs, out)
     steps = Steps(arguments.fine_tune, arguments.paint)
     outcome = reconstruct(tasks, run, out, arguments.outputs, steps, device)
     print(f"{outcome.written} written to {out}, {outcome.skipped} already there, {len(outcome.failures)} failed")

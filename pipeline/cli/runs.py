@@ -41,7 +41,8 @@ class Run:
     def _written(self, path: Path) -> Path:
         if not path.is_file():
             raise DataError(
-                f"{path} does not exist; make it with `make repro`, which brings all runs up to date; or name another"
+                f"{path} does not exist; make it with `make repro`, which brings all runs up to date; or name another "
+                "by --run"
             )
         return path
 

@@ -11,10 +11,11 @@ from torch import Tensor
 
 from pipeline.datasets.images import load_images
 from pipeline.errors import DataError
-from pipeline.files import load_tensors, read_json
+from pipeline.files import read_json
 from pipeline.geometry.camera import Pose, fill_picture, pose_from_tensor
 from pipeline.networks.pose_coordinates import Framing
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
+from pipeline.tensor_files import load_tensors
 
 STAGES = ("predicted", "tuned")
 

@@ -58,9 +58,10 @@ class MeasuredRun(NamedTuple):
 
 
 def write_runs_page(path: Path, runs: Sequence[MeasuredRun]) -> None:
-    """Write one table of all runs, atomically; runs that differ in their seed alone stand together."""
+    """Write one table of all runs, atomically: first those whose pages are here; seeds stand together."""
     rows, summaries = [], []
-    ordered = sorted(runs, key=lambda run: (run.experiment, run.name))
+    own = {run.experiment for run in runs if run.address is not None}
+    ordered = sorted(runs, key=lambda run: (run.experiment not in own, run.experiment, run.name))
     for experiment, members in groupby(ordered, lambda run: run.experiment):
         names, figures = zip(*((_link(run), _measured(run)) for run in members), strict=True)
         rows += [[name, _count(one), *_cells(one)] for name, one in zip(names, figures, strict=True)]

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor, nn
 
-from pipeline.files import load_tensors, save_tensors
 from pipeline.networks.pretrained import PretrainedNetwork, load_pretrained
 from pipeline.networks.wide_resnet import WideResNet, fold_normalizations, load_wide_resnet
+from pipeline.tensor_files import load_tensors, save_tensors
 
 Network = WideResNet | PretrainedNetwork
 

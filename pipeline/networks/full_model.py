@@ -10,7 +10,6 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from pipeline.config import from_json
-from pipeline.files import load_tensors, load_weights
 from pipeline.geometry.camera import Pose
 from pipeline.networks.encoders import Encoder, EncoderConfig, FeatureEncoder, Features
 from pipeline.networks.generators import ImageBackgroundGenerator, StripesGenerator, TextureGenerator
@@ -19,6 +18,7 @@ from pipeline.networks.pose_decoder import PoseDecoder, PoseRegression
 from pipeline.networks.shapes import BaseLearningConfig, FreeFormShapes, OffsetShapes, ShapeDecoder
 from pipeline.ranges import Count, NonNegative, Positive
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
+from pipeline.tensor_files import load_tensors, load_weights
 
 
 @dataclass(frozen=True)

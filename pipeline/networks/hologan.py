@@ -18,9 +18,9 @@ from torch.nn import functional
 
 from pipeline.config import from_json
 from pipeline.device import constant
-from pipeline.files import load_tensors, load_weights, save_tensors
 from pipeline.geometry.camera import rotation_from_angles
 from pipeline.ranges import Count
+from pipeline.tensor_files import load_tensors, load_weights, save_tensors
 
 START = 4
 VOLUME = 16

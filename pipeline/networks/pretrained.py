@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from pipeline.errors import DataError
-from pipeline.files import load_tensors
+from pipeline.tensor_files import load_tensors
 
 
 @dataclass(frozen=True)

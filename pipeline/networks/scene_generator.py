@@ -11,7 +11,6 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from pipeline.config import from_json
-from pipeline.files import load_tensors, load_weights
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.symmetry import symmetrize
 from pipeline.networks.generators import (
@@ -23,6 +22,7 @@ from pipeline.networks.generators import (
 )
 from pipeline.networks.seed_choice import load_seed
 from pipeline.ranges import Count, Positive
+from pipeline.tensor_files import load_tensors, load_weights
 
 
 @dataclass(frozen=True)

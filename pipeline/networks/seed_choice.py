@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from pipeline.errors import ConfigError
-from pipeline.files import load_tensors
+from pipeline.tensor_files import load_tensors
 
 BY_SCORE = "score"
 """Instead of a seed: that of the lowest score."""

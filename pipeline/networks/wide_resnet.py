@@ -9,8 +9,8 @@ from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from pipeline.errors import DataError
-from pipeline.files import load_tensors
 from pipeline.networks.batch_normalization import BatchNorm2d
+from pipeline.tensor_files import load_tensors
 
 
 class ResidualBlock(nn.Module):

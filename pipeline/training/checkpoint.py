@@ -19,7 +19,8 @@ from tqdm import tqdm
 
 from pipeline.distributed import from_first, is_first, leads
 from pipeline.errors import DataError, TrainingDiverged
-from pipeline.files import load_tensors, save_tensors, sha256
+from pipeline.files import sha256
+from pipeline.tensor_files import load_tensors, save_tensors
 
 Part = nn.Module | Optimizer | torch.Generator | Tensor
 LIBRARY = Path(__file__).parents[1]

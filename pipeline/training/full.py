@@ -7,12 +7,12 @@ import torch
 
 from pipeline.datasets.images import Images
 from pipeline.errors import DataError
-from pipeline.files import load_tensors
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.scene_generator import LearnedScenes
 from pipeline.rendering.renderer import Mesh
+from pipeline.tensor_files import load_tensors
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.curves import Curve
 from pipeline.training.exploration import require_maps

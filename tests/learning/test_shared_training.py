@@ -15,8 +15,9 @@ import torch
 
 from pipeline import distributed
 from pipeline.errors import ConfigError, ProcessKilled
-from pipeline.files import load_tensors, read_json
+from pipeline.files import read_json
 from pipeline.launch import resolve_processes, share_work
+from pipeline.tensor_files import load_tensors
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.full_trainer import FullTrainer
 from tests.shared_trainings import SEEDS, take_steps, train

@@ -6,8 +6,9 @@ import torch
 
 from pipeline.errors import DataError
 from pipeline.evaluation.artifacts import load_photographs, load_reconstructions, load_true_split, select
-from pipeline.files import save_tensors, write_json
+from pipeline.files import write_json
 from pipeline.geometry.camera import Pose
+from pipeline.tensor_files import save_tensors
 
 
 @pytest.fixture

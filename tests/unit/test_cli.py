@@ -30,10 +30,10 @@ from pipeline.cli.outputs import Found
 from pipeline.cli.photographs import Target, Task, list_tasks
 from pipeline.datasets.decoding import Fit, decode
 from pipeline.errors import DataError
-from pipeline.files import load_tensors, save_tensors
 from pipeline.networks.feature_extractor import extract, load_feature_extractor, save_feature_extractor
 from pipeline.networks.full_model import Reconstruction, full_model_texts
 from pipeline.networks.wide_resnet import WideResNet
+from pipeline.tensor_files import load_tensors, save_tensors
 from tests.fresh_params import write_fresh_params
 from tests.picture_trees import write_folder
 from tests.tiny_full_model import photographs, tiny_model
@@ -370,6 +370,22 @@ def test_what_is_wrong_is_one_sentence(
     with pytest.raises(SystemExit, match=r"^error: .*" + message):
         main([*words, "--project", str(project)])
     assert not (project / "out").exists()
+
+
+def test_what_is_wrong_is_told_before_pytorch_is_imported(project: Path) -> None:
+    script = (
+        "import sys; from pipeline.cli.__main__ import main\ntry: main()\nfinally: assert 'torch' not in sys.modules"
+    )
+    for words, message in (
+        (["reconstruct", "missing.jpg", "--out", "out"], "missing.jpg does not exist"),
+        (["reconstruct", "missing.jpg", "--out", "out", "--run", "no"], "has no run 'no'"),
+        (["view"], "index.html does not exist"),
+    ):
+        command = [sys.executable, "-c", script, *words, "--project", str(project)]
+        ended = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert ended.returncode == 1
+        assert ended.stderr.startswith("error: ")
+        assert message in ended.stderr
 
 
 def test_a_damaged_record_is_one_sentence(project: Path, tmp_path: Path) -> None:

@@ -7,11 +7,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from pipeline.files import save_tensors
 from pipeline.geometry.camera import pose_to_tensor
 from pipeline.networks.encoders import Encoder
 from pipeline.networks.full_model import FullModel, full_model_texts, load_full_model
 from pipeline.seeding import generator
+from pipeline.tensor_files import save_tensors
 from pipeline.training.full import load_base
 from tests.tiny_full_model import (
     CHANNELS,

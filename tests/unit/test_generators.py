@@ -7,7 +7,6 @@ import pytest
 import torch
 
 from pipeline.errors import ConfigError
-from pipeline.files import save_tensors
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.symmetry import mirror_index, reflect
 from pipeline.networks.generators import ImageGenerator, SpherePad
@@ -22,6 +21,7 @@ from pipeline.networks.scene_generator import (
     scene_texts,
 )
 from pipeline.seeding import generator, initialised
+from pipeline.tensor_files import save_tensors
 
 CONFIG = GeneratorConfig(
     latent_size=16,

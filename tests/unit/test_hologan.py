@@ -11,7 +11,6 @@ import torch
 from torch import Tensor
 
 from pipeline.errors import DataError, TrainingDiverged
-from pipeline.files import save_tensors
 from pipeline.networks.hologan import (
     AdaptiveNormalization,
     HoloDiscriminator,
@@ -23,6 +22,7 @@ from pipeline.networks.hologan import (
     save_hologan,
 )
 from pipeline.seeding import generator, initialised
+from pipeline.tensor_files import save_tensors
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.hologan import HoloGANTrainer, HoloGANTrainingConfig, train_hologan
 from pipeline.training.viewpoints import AngleConfig, ViewpointConfig

@@ -13,11 +13,12 @@ from torch import Tensor
 from torch.nn import functional
 
 from pipeline.errors import ConfigError, DataError
-from pipeline.files import read_json, save_tensors
+from pipeline.files import read_json
 from pipeline.losses.image_distance import feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, load_feature_extractor, save_feature_extractor
 from pipeline.networks.pretrained import ARCHITECTURES, PretrainedNetwork, load_pretrained, read_pretrained
 from pipeline.seeding import generator, initialised
+from pipeline.tensor_files import save_tensors
 from pipeline.training.exploration import require_maps
 from pipeline.training.pretrained import adopt, mean_distances
 from stages import train_features

@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from pipeline.files import load_tensors, save_tensors
 from pipeline.networks.seed_choice import load_seed
+from pipeline.tensor_files import load_tensors, save_tensors
 from stages import remesh
 from stages.command_line import run
 from tests.deformed_spheres import deformed_sphere

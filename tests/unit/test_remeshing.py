@@ -10,12 +10,12 @@ import pytest
 import torch
 
 from pipeline.errors import MeshError
-from pipeline.files import load_tensors
 from pipeline.geometry.mesh_quality import area_variation, measure_map, measure_remeshing, surface_distance
 from pipeline.geometry.remeshing import IsotropicConfig, MappedMesh, remesh_isotropic
 from pipeline.geometry.sphere_map import SphereMapConfig
 from pipeline.geometry.symmetry import mirror_index, reflect
 from pipeline.geometry.topology import euler_characteristic
+from pipeline.tensor_files import load_tensors
 from tests.deformed_spheres import SHAPES, deformed_sphere
 from tests.project.import_closure import ROOT
 
@@ -47,7 +47,7 @@ FREED_ZEROS = (
 def test_result_does_not_depend_on_what_memory_holds(before: str, fill: str, tmp_path: Path) -> None:
     remeshed = remesh_isotropic(MappedMesh(*deformed_sphere("dented")), ISOTROPIC, SPHERE_MAP)
     script = (
-        f"{before}from pipeline.files import save_tensors; from tests.unit.test_remeshing import *;"
+        f"{before}from pipeline.tensor_files import save_tensors; from tests.unit.test_remeshing import *;"
         "mesh = remesh_isotropic(MappedMesh(*deformed_sphere('dented')), ISOTROPIC, SPHERE_MAP);"
         f"save_tensors(Path({str(tmp_path / 'mesh.safetensors')!r}), dict(vertices=mesh.vertices), dict())"
     )

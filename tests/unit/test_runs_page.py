@@ -26,7 +26,7 @@ def test_runs_stand_with_their_errors_and_seeds_with_their_mean(tmp_path: Path) 
     write_runs_page(tmp_path / "index.html", runs)
     text = (tmp_path / "index.html").read_text()
     table = rows(text)
-    assert list(table) == ["car", "car-seed1", "car, 2 seeds", "horse"]
+    assert list(table) == ["horse", "car", "car-seed1", "car, 2 seeds"], "those with a page stand first"
     column = 1 + list(COLUMNS).index("distance, fine-tuned")
     assert table["car"][0] == "7"
     assert table["car"][column] == "1.00 <small>± 0.50</small>"

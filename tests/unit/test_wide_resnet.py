@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from pipeline.errors import DataError
-from pipeline.files import save_tensors
 from pipeline.networks.feature_extractor import (
     FeatureExtractor,
     extract,
@@ -15,6 +14,7 @@ from pipeline.networks.feature_extractor import (
 )
 from pipeline.networks.wide_resnet import WideResNet, load_wide_resnet
 from pipeline.seeding import generator, initialised
+from pipeline.tensor_files import save_tensors
 
 CPU = torch.device("cpu")
 
