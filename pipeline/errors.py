@@ -69,7 +69,7 @@ def in_one_sentence() -> Iterator[None]:
     """
     try:
         yield
-        sys.stdout.flush()
+        print(end="", flush=True)  # where there is an output: not after `>&-`
     except UserError as error:
         sys.exit(f"error: {error}")
     except BrokenPipeError:

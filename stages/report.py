@@ -48,7 +48,7 @@ def main() -> None:
         seed_faces=base_shape["faces"],
         seed_scores=base_shape["seed_scores"],
         chosen_seed=load_seed(arguments.mesh),
-        base=model.shapes.base().detach(),
+        base=model.shapes.base().detach() if model.config.two_stage else None,
         camera=model.config.renderer.camera,
         framing=model.config.framing,
         figures=read_json(arguments.metrics),

@@ -6,6 +6,7 @@ import webbrowser
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from io import TextIOWrapper
 from pathlib import Path
 from types import FrameType
 
@@ -14,7 +15,8 @@ from pipeline.errors import in_one_sentence
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run a command; an error of the user is one sentence, without a traceback, and exits with status 1."""
-    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue]  # any file's name
+    if isinstance(sys.stdout, TextIOWrapper):  # which it is not after `>&-`
+        sys.stdout.reconfigure(errors="backslashreplace")  # any file's name can be printed
     with in_one_sentence(), _ended_by_signals():
         arguments = _parser().parse_args(words)
         arguments.command(arguments)

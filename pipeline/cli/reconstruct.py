@@ -71,8 +71,8 @@ class _Readable(NamedTuple):
     task: Task
     content_hash: str
 
-    def seen(self, fit: Fit, size: int) -> Float[Tensor, "3 side side"]:
-        """Read the square that the model sees once more, at its own resolution up to a size.
+    def seen(self, fit: Fit, most: int, size: int) -> Float[Tensor, "3 side side"]:
+        """Read the square that the model sees at a size once more, at its own resolution up to another.
 
         Raises DataError where the file is another by now.
         """
@@ -81,7 +81,7 @@ class _Readable(NamedTuple):
             content = path.read_bytes()
         if hashlib.sha256(content).hexdigest() != self.content_hash:
             raise DataError(f"{path} was replaced while it was reconstructed; run the same command again")
-        return torch.from_numpy(decode_up_to(content, str(path), size, fit).copy()).permute(2, 0, 1) / 255
+        return torch.from_numpy(decode_up_to(content, str(path), most, size, fit).copy()).permute(2, 0, 1) / 255
 
 
 class Outcome(NamedTuple):
@@ -145,7 +145,7 @@ def _write(
     photograph: _Readable, found: Found, model: FullModel, seam: Seam, settings: Settings, outputs: Sequence[str]
 ) -> None:
     task = photograph.task
-    seen = photograph.seen(settings.fit, _SEEN_SIZE) if "picture" in outputs else None
+    seen = photograph.seen(settings.fit, _SEEN_SIZE, model.config.renderer.size) if "picture" in outputs else None
     task.claim(photograph.content_hash)
     write_outputs(task.target, found, model, seam, settings.report, outputs)
     if seen is not None:
@@ -164,7 +164,7 @@ def _load_settings(run: Run) -> Settings:
 def _way(run: Run, settings: Settings, steps: Steps) -> dict[str, str | bool]:
     """Say how reconstructions are made, so that a folder holds those of one way alone."""
     report = settings.report
-    tuning = replace(settings.fine_tune, batch_size=1)  # which does not change what comes out
+    tuning = replace(settings.fine_tune, batch_size=1)  # which changes what comes out by rounding alone
     chosen = [*([tuning] if steps.fine_tune else []), *([settings.paint] if steps.paint else [])]
     text = repr([settings.fit, report.frames, report.view, sha256(run.features), *chosen])
     return {"model": sha256(run.model), **steps._asdict(), "settings": hashlib.sha256(text.encode()).hexdigest()}
@@ -244,9 +244,10 @@ def _separate(
 
 def _painted(found: Found, photograph: _Readable, model: FullModel, fit: Fit, config: PaintingConfig) -> Found:
     """Paint what is found with its photograph, and render it at the photograph's size."""
-    seen = photograph.seen(fit, config.photograph_size)
+    settings = model.config
+    seen = photograph.seen(fit, config.photograph_size, settings.renderer.size)
     mesh = Mesh(found.vertices, model.faces.cpu(), model.directions.cpu())
-    settings, renderer = model.config, replace(model.config.renderer, size=seen.shape[-1])
+    renderer = replace(settings.renderer, size=seen.shape[-1])
     texture = paint(mesh, found.texture, found.pose, seen, renderer.camera, settings.mirror_texture, config)
     background = functional.interpolate(found.background, size=seen.shape[1:], mode="bilinear")
     image = render(mesh, texture[None], found.pose, background, None, renderer).images[0]

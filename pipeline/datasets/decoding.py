@@ -1,6 +1,7 @@
 """Turn the bytes of a picture into an array of the wanted size."""
 
 import io
+import math
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -43,10 +44,20 @@ def decode(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, 
     return _fitted(picture, name, size, fit)
 
 
-def decode_up_to(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, "side side 3"]:
-    """Decode as `decode` does, but let pictures that are too small for the wanted size keep theirs."""
+def decode_up_to(content: bytes, name: str, most: int, size: int, fit: Fit) -> UInt8[np.ndarray, "side side 3"]:
+    """Decode the square that `decode` shows at a size, with up to `most` pixels a side where the picture has them."""
     picture = _upright(content, name)
-    return _fitted(picture, name, min(size, _fitted_side(picture, fit)), fit)
+    side = min(most, _fitted_side(picture, fit))
+    if side <= size:
+        return _fitted(picture, name, side, fit)
+    factor = size / _fitted_side(picture, fit)
+    (left, right), (top, bottom) = (_window(length, factor, size) for length in picture.size)
+    before, above = max(0, math.ceil(-left)), max(0, math.ceil(-top))
+    after, below = max(0, math.ceil(right - picture.width)), max(0, math.ceil(bottom - picture.height))
+    continued = np.pad(np.asarray(picture), [(above, below), (before, after), (0, 0)], mode="edge")
+    window = (before + left, above + top, before + right, above + bottom)
+    square = Image.fromarray(continued).resize((side, side), Image.Resampling.LANCZOS, window, reducing_gap=3.0)
+    return np.asarray(to_srgb(square, name, picture.info.get("icc_profile")))
 
 
 def cut_boxes(content: bytes, name: str, boxes: Sequence[Box], size: int) -> list[UInt8[np.ndarray, "size size 3"]]:
@@ -136,18 +147,33 @@ def to_srgb(picture: Image.Image, name: str, profile: bytes | None) -> Image.Ima
 
 
 def _scaled(picture: Image.Image, factor: float) -> Image.Image:
-    width, height = (max(1, round(side * factor)) for side in picture.size)
+    width, height = (_scaled_side(side, factor) for side in picture.size)
     return picture.resize((width, height), Image.Resampling.LANCZOS, reducing_gap=3.0)
+
+
+def _scaled_side(length: int, factor: float) -> int:
+    return max(1, round(length * factor))
+
+
+def _start(length: int, size: int) -> int:
+    """Return which pixel of a side is the square's first: below 0 where the side is shorter and continued."""
+    return math.trunc((length - size) / 2)
+
+
+def _window(length: int, factor: float, size: int) -> tuple[float, float]:
+    """Return what the square shows of a side that was scaled, in pixels before scaling; it may reach beyond them."""
+    scaled = _scaled_side(length, factor)
+    start = _start(scaled, size)
+    return start * length / scaled, (start + size) * length / scaled
 
 
 def _square(pixels: UInt8[np.ndarray, "H W 3"], size: int) -> UInt8[np.ndarray, "size size 3"]:
     for axis in (0, 1):
-        missing = size - pixels.shape[axis]
+        start, missing = _start(pixels.shape[axis], size), size - pixels.shape[axis]
         if missing < 0:
-            start = -missing // 2
             pixels = pixels.take(range(start, start + size), axis)
         if missing > 0:
             padding = [(0, 0), (0, 0), (0, 0)]
-            padding[axis] = (missing // 2, missing - missing // 2)
+            padding[axis] = (-start, missing + start)
             pixels = np.pad(pixels, padding, mode="edge")
     return pixels

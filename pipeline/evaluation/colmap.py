@@ -19,6 +19,12 @@ from pipeline.ranges import Count, Natural
 PREFIX = re.compile(r"^([IWEF])\d{8} [\d:.]+ +\d+ (\S+\]) (.*)$")
 """What COLMAP's log puts before a message: level, date, time, thread; then where in its source."""
 
+HEADER = re.compile(r"Log file created at: |Running on machine: |Running duration |Log line format: ")
+"""How lines begin that stand before the first message."""
+
+TIME = re.compile(r" in \d+\.\d+s")
+"""How long a step took, where a message says it."""
+
 NO_PAIR = "No good initial image pair found"
 
 
@@ -104,9 +110,10 @@ def _logging_to(path: Path, pycolmap: Any) -> Iterator[None]:
 
 
 def _read_log(folder: Path) -> str:
-    """Read the log without dates and threads."""
+    """Read the log's messages without what differs from run to run: dates, threads, the machine's name and times."""
     lines = "".join(path.read_text(encoding="utf-8") for path in sorted(folder.glob("log*"))).splitlines()
-    return "".join(PREFIX.sub(r"\1 \2 \3", line) + "\n" for line in lines)
+    messages = (TIME.sub("", PREFIX.sub(r"\1 \2 \3", line)) for line in lines if not HEADER.match(line))
+    return "".join(message + "\n" for message in messages if " timer.cc:" not in message)
 
 
 def _verdict(log: str) -> list[str]:

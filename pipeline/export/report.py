@@ -16,7 +16,7 @@ from pipeline.export.report_meshes import base_exhibit, reconstruction_exhibits,
 from pipeline.export.report_metrics import curve_section, headline, metrics_section, pose_section
 from pipeline.export.report_page import Section, page
 from pipeline.export.report_pictures import Gallery, base_shape_section, example_section, seed_captions, step_section
-from pipeline.export.viewer import viewer_section
+from pipeline.export.viewer import Exhibit, viewer_section
 from pipeline.export.views import ViewConfig, on_white
 from pipeline.files import atomic_path
 from pipeline.geometry.camera import CameraConfig
@@ -52,7 +52,7 @@ class ReportInputs(NamedTuple):
     Attributes:
         drawn: whether the project itself draws the photographs, so that figures may show them.
         framing: of the photographs; `box` lets objects fill their other views too.
-        base: base shape of the full model, with the faces of the reconstructions.
+        base: base shape of the full model, with the faces of the reconstructions; None after single-stage training.
         figures: of `evaluate`.
         stage_figures: metrics of the other stages, by the stage's name.
         curves: columns of each training's curve, by the stage's name.
@@ -68,7 +68,7 @@ class ReportInputs(NamedTuple):
     seed_faces: Int[Tensor, "F 3"]
     seed_scores: Float[Tensor, " S"]
     chosen_seed: int
-    base: Float[Tensor, "V 3"]
+    base: Float[Tensor, "V 3"] | None
     camera: CameraConfig
     framing: Framing
     figures: Mapping[str, Any]
@@ -81,17 +81,15 @@ def write_report(inputs: ReportInputs, config: ReportConfig, page_folder: Path, 
     """Write `index.html` to one folder and figures to another, each folder whole or not at all."""
     best, random = choose_examples(inputs, config)
     gallery = Gallery(inputs.reconstructions, inputs.photographs, inputs.camera, inputs.framing, config.view)
-    seeds = gallery.seed_views(inputs.seeds, inputs.seed_faces)
-    captions = seed_captions(inputs.seed_scores, inputs.chosen_seed)
+    base_exhibits, base_sections = _base_shapes(inputs, gallery)
     exhibits = [
         *reconstruction_exhibits("best", "Best reconstructions", gallery, best, inputs.table),
         *reconstruction_exhibits("random", "Random reconstructions", gallery, random, inputs.table),
-        base_exhibit(inputs.base, gallery),
-        *seed_exhibits(inputs.seeds, inputs.seed_faces, captions, seeds, config.view.elevation),
+        *base_exhibits,
     ]
     sections = [
         viewer_section(exhibits, inputs.camera),
-        base_shape_section(seeds, captions, inputs.chosen_seed),
+        *base_sections,
         example_section("best", "Best reconstructions", gallery, best, inputs.table, config.other_view),
         example_section("random", "Random reconstructions", gallery, random, inputs.table, config.other_view),
         step_section(gallery, random[: config.stepped], inputs.table["test_index"]),
@@ -107,6 +105,16 @@ def write_report(inputs: ReportInputs, config: ReportConfig, page_folder: Path, 
         rows = reconstruction_rows(gallery, best, "best", inputs.drawn, config.other_view)
         rows |= reconstruction_rows(gallery, random, "random", inputs.drawn, config.other_view)
         write_png(folder / "reconstructions.png", sheet(rows))
+
+
+def _base_shapes(inputs: ReportInputs, gallery: Gallery) -> tuple[list[Exhibit], list[Section]]:
+    """Show the base shapes of all seeds and after full training; nothing of a run that trained around none of them."""
+    if inputs.base is None:
+        return [], []
+    seeds = gallery.seed_views(inputs.seeds, inputs.seed_faces)
+    captions = seed_captions(inputs.seed_scores, inputs.chosen_seed)
+    exhibits = seed_exhibits(inputs.seeds, inputs.seed_faces, captions, seeds, gallery.elevation)
+    return [base_exhibit(inputs.base, gallery), *exhibits], [base_shape_section(seeds, captions, inputs.chosen_seed)]
 
 
 def example_rows(gallery: Gallery, index: Int[Tensor, " K"], drawn: bool) -> dict[str, Float[Tensor, "K 3 H W"]]:

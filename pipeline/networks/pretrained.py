@@ -1,21 +1,25 @@
 """Networks that others trained on ImageNet, given as a file, whose feature maps compare pictures (paper 4.2)."""
 
 import zipfile
+import zlib
 from collections import OrderedDict
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from safetensors import SafetensorError
-from safetensors.torch import load_file
+from safetensors import SafetensorError, safe_open
 from torch import Tensor, nn
 from torch.nn import functional
 
 from pipeline.errors import DataError
 from pipeline.tensor_files import load_tensors
+
+_DAMAGE_OF_ARRAYS = (EOFError, RuntimeError, SyntaxError, TokenError, TypeError, ValueError, zlib.error)
+"""What readers of an archive's arrays raise besides."""
 
 
 @dataclass(frozen=True)
@@ -166,12 +170,14 @@ def load_pretrained(path: Path) -> PretrainedNetwork:
 def _read(path: Path) -> Mapping[str, Tensor]:
     if not path.is_file():
         raise DataError(f"{path} does not exist; give the path of a network's weights")
+    wanted = {network.prefix + layer for network in ARCHITECTURES.values() for layer in network.layers().state_dict()}
     try:
         if path.suffix == ".npz":
             with np.load(path, allow_pickle=False) as archive:
-                return {name: torch.from_numpy(archive[name]) for name in archive.files}
-        return load_file(path)
-    except (SafetensorError, zipfile.BadZipFile, ValueError, TypeError, OSError) as error:
+                return {name: torch.from_numpy(archive[name]) for name in wanted.intersection(archive.files)}
+        with safe_open(path, framework="pt") as stored:
+            return {name: stored.get_tensor(name) for name in wanted.intersection(stored.keys())}
+    except (SafetensorError, zipfile.BadZipFile, OSError, *_DAMAGE_OF_ARRAYS) as error:
         reason = " ".join(str(error).split())
         raise DataError(
             f"{path} cannot be read as .npz or .safetensors ({reason}); convert it to one of them"

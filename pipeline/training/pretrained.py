@@ -22,12 +22,19 @@ def adopt(path: Path, images: Images, distance: float, seed: int) -> PretrainedN
 
     Two photographs drawn at random are then `distance` apart on average, of which each map has an equal share: networks
     differ by orders of magnitude in the size of their features, weights of losses need not. Raises DataError for a
-    single photograph, and where the file holds no network that is known.
+    single photograph, and where the file holds no network that is known, or one whose maps tell no photographs apart.
     """
     if len(images) < 2:
         raise DataError("a given network is scaled by distances of photographs, but there is only one; add more")
     network = read_pretrained(path).to(images.device)
-    network.scale.copy_(distance / network.maps / mean_distances(network, images, seed))
+    scale = distance / network.maps / mean_distances(network, images, seed)
+    for number, finite in enumerate(scale.half().isfinite().tolist()):  # as which it is stored
+        if not finite:
+            raise DataError(
+                f"{path}: photographs do not differ, or by no number, in feature map {number} of {network.maps}; give "
+                "weights that are trained and whole"
+            )
+    network.scale.copy_(scale)
     return network
 
 

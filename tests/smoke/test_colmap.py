@@ -1,5 +1,6 @@
 """COLMAP as a stage of its own process, which is what pycolmap needs (pipeline/evaluation/colmap.py)."""
 
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -40,6 +41,7 @@ def test_toybox_cars_are_no_scene(tmp_path: Path) -> None:
     assert figures["verified_pairs"]["value"] == 0
     assert figures["features"]["value"] > 0
     assert "Processed file [6/6]" in log
+    assert not re.search(r"created at|Running on|\d\.\d+s|minutes", log), "what differs from run to run"
 
 
 def test_pictures_of_one_scene_match(tmp_path: Path) -> None:

@@ -372,6 +372,12 @@ def test_what_is_wrong_is_one_sentence(
     assert not (project / "out").exists()
 
 
+def test_a_closed_output_is_no_traceback(project: Path) -> None:
+    command = [sys.executable, "-m", "pipeline.cli", "doctor", "--project", str(project)]
+    ended = subprocess.run(["sh", "-c", 'exec "$@" >&-', "sh", *command], capture_output=True, text=True, check=False)
+    assert "Traceback" not in ended.stderr
+
+
 def test_what_is_wrong_is_told_before_pytorch_is_imported(project: Path) -> None:
     script = (
         "import sys; from pipeline.cli.__main__ import main\ntry: main()\nfinally: assert 'torch' not in sys.modules"

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from pipeline.datasets.decoding import cut_boxes, decode, decode_up_to
+from pipeline.datasets.decoding import Fit, cut_boxes, decode, decode_up_to
 from pipeline.errors import DataError
 from tests.picture_trees import noise, picture, swapped
 
@@ -35,11 +35,31 @@ def test_crop_fits_the_short_side() -> None:
 
 
 def test_pictures_too_small_for_the_wanted_size_keep_theirs() -> None:
-    assert decode_up_to(halves(200, 64), "1.png", 128, "crop").shape == (64, 64, 3)
-    assert decode_up_to(halves(200, 64), "1.png", 128, "pad").shape == (128, 128, 3)
+    assert decode_up_to(halves(200, 64), "1.png", 128, 32, "crop").shape == (64, 64, 3)
+    assert decode_up_to(halves(200, 64), "1.png", 128, 32, "pad").shape == (128, 128, 3)
     for fit in ("crop", "pad"):
         expected = decode(halves(200, 64), "1.png", 32, fit)
-        np.testing.assert_array_equal(decode_up_to(halves(200, 64), "1.png", 32, fit), expected)
+        np.testing.assert_array_equal(decode_up_to(halves(200, 64), "1.png", 32, 32, fit), expected)
+
+
+def middle(pixels: np.ndarray) -> np.ndarray:
+    """Return the centre of brightness, in sides of the picture."""
+    weights = pixels[..., 0].astype(float)
+    places = (np.arange(len(weights)) + 0.5) / len(weights)
+    return np.array([(weights * place).sum() for place in (places[:, None], places)]) / weights.sum()
+
+
+@pytest.mark.parametrize("fit", ["crop", "pad"])
+@pytest.mark.parametrize("sides", [(640, 480), (480, 640), (640, 620), (65, 64), (1000, 563)])
+def test_a_larger_square_shows_what_the_small_one_shows(fit: Fit, sides: tuple[int, int]) -> None:
+    x, y = (np.arange(side) / side - 0.5 for side in sides)
+    spot = 255 * np.exp(-60 * (y[:, None] ** 2 + x**2))
+    stream = io.BytesIO()
+    Image.fromarray(spot.astype(np.uint8)).convert("RGB").save(stream, "PNG")
+    small = decode(stream.getvalue(), "1.png", 32, fit)
+    larger = decode_up_to(stream.getvalue(), "1.png", 128, 32, fit)
+    assert len(larger) == min(128, min(sides) if fit == "crop" else max(sides))
+    np.testing.assert_allclose(middle(larger), middle(small), atol=0.001)
 
 
 def test_pad_fits_the_long_side_and_continues_the_border() -> None:

@@ -131,8 +131,27 @@ def test_a_file_of_another_format_is_one_sentence(
 
 
 def test_pickled_weights_are_refused(tmp_path: Path) -> None:
-    np.savez(tmp_path / "weights.npz", conv1=np.array([{}], dtype=object))
+    np.savez(tmp_path / "weights.npz", allow_pickle=True, **{"conv1.weight": np.array([{}], dtype=object)})
     with pytest.raises(DataError, match=r"weights\.npz cannot be read"):
+        read_pretrained(tmp_path / "weights.npz")
+
+
+def test_what_a_file_holds_besides_is_not_read(tmp_path: Path) -> None:
+    weights = {name: weight.numpy() for name, weight in squeezenet_weights().items()}
+    others = {"classes": np.array(["tench"]), "meta": np.array([{}], dtype=object), "version": np.array([1], ">i4")}
+    np.savez(tmp_path / "weights.npz", allow_pickle=True, **weights, **others)
+    assert read_pretrained(tmp_path / "weights.npz").description == {"architecture": "squeezenet"}
+
+
+@pytest.mark.parametrize("place", [60, 100, 200])
+def test_damaged_compression_is_one_sentence(tmp_path: Path, place: int) -> None:
+    weights = {name: np.zeros(weight.shape, np.float32) for name, weight in squeezenet_weights().items()}
+    np.savez_compressed(tmp_path / "weights.npz", allow_pickle=False, **weights)
+    content = bytearray((tmp_path / "weights.npz").read_bytes())
+    start = content.index(b"conv1.weight.npy") + place
+    content[start : start + 20] = bytes(255 - byte for byte in content[start : start + 20])
+    (tmp_path / "weights.npz").write_bytes(content)
+    with pytest.raises(DataError, match=r"weights\.npz cannot be read as \.npz"):
         read_pretrained(tmp_path / "weights.npz")
 
 
@@ -151,6 +170,16 @@ def test_photographs_are_as_far_apart_as_wanted_in_every_map(tmp_path: Path) -> 
     path = write(tmp_path / "squeezenet.npz", squeezenet_weights())
     network = adopt(path, photographs(70), 65.0, seed=0)
     torch.testing.assert_close(mean_distances(network, photographs(70), seed=0), torch.full((5,), 13.0))
+
+
+@pytest.mark.parametrize("value", [0.0, math.nan])
+def test_maps_that_tell_no_photographs_apart_are_named(tmp_path: Path, value: float) -> None:
+    weights = squeezenet_weights()
+    for name in ("fire8.conv1x1_2", "fire8.conv3x3_2"):
+        weights[f"{name}.weight"] = torch.full_like(weights[f"{name}.weight"], value)
+    path = write(tmp_path / "squeezenet.npz", weights)
+    with pytest.raises(DataError, match=r"squeezenet\.npz: photographs do not differ, .* in feature map 4 of 5; give"):
+        adopt(path, photographs(9), 65.0, seed=0)
 
 
 def test_a_given_network_survives_its_file_and_is_told_by_it(tmp_path: Path) -> None:

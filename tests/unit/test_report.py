@@ -78,6 +78,12 @@ def test_viewer_holds_every_mesh_as_it_is_exported(tmp_path: Path) -> None:
     meshes = dict(re.findall(r'value="([\w-]+)" [^>]*data-glb="([^"]+)"', text))
     assert list(meshes)[:2] == ["best-1", "best-3"]
     assert list(meshes)[4:] == ["base", "seed-0", "seed-1"]
+    alone = inputs(truth=False)._replace(base=None)
+    write_report(alone, CONFIG, tmp_path / "single-stage", tmp_path / "figures")
+    text_alone = (tmp_path / "single-stage/index.html").read_text()
+    assert 'id="base-shapes"' in text
+    assert 'id="base-shapes"' not in text_alone
+    assert re.findall(r'value="([\w-]+)" [^>]*data-glb="', text_alone) == list(meshes)[:4]
     assert set(re.findall('data-exhibit="([^"]+)"', text)) == set(meshes) - {"base"}
     (tmp_path / "base.glb").write_bytes(base64.b64decode(meshes["base"]))
     loaded = trimesh.load_mesh(tmp_path / "base.glb", process=False)
