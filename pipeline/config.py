@@ -3,6 +3,7 @@
 import difflib
 import json
 import math
+import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
@@ -27,7 +28,10 @@ class _Leaf:
 
 
 class _Loader(yaml.SafeLoader):
-    """Read YAML, but refuse a key that stands twice in a section, of which others take the last one."""
+    """Read YAML, but refuse a key that stands twice in a section, of which others take the last one.
+
+    5e-05, which DVC writes for `-S` and YAML 1.2 takes for a number, is one here too.
+    """
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
@@ -38,6 +42,13 @@ class _Loader(yaml.SafeLoader):
                 raise yaml.constructor.ConstructorError(None, None, f"'{key.value}' stands twice", key.start_mark)
             seen.add(key.value)
         return super().construct_mapping(node, deep)
+
+
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    list("-+.0123456789"),
+)
 
 
 def load(path: Path, config_class: type[Config], sections: Sequence[str]) -> Config:
@@ -227,5 +238,5 @@ def _describe(hint: Any) -> str:
         return " or ".join("null" if option is NoneType else _describe(option) for option in get_args(hint))
     if is_dataclass(hint) and isinstance(hint, type):
         return "a section with " + ", ".join(field.name for field in fields(hint))
-    names = {float: "a number (with a point before any exponent: 1.0e-4)", int: "a whole number", str: "text"}
+    names = {float: "a number", int: "a whole number", str: "text"}
     return names.get(hint, "true or false")

@@ -49,7 +49,7 @@ class MeshError(UserError):
 
 
 class ProcessKilled(UserError):
-    """Report that one of the processes that share a training was killed from outside."""
+    """Report that one of the processes that share some work was ended by a signal."""
 
 
 class TrainingDiverged(UserError):
@@ -69,7 +69,7 @@ def in_one_sentence() -> Iterator[None]:
     """
     try:
         yield
-        print(end="", flush=True)  # where there is an output: not after `>&-`
+        _flush()
     except UserError as error:
         sys.exit(f"error: {error}")
     except BrokenPipeError:
@@ -93,6 +93,11 @@ def in_one_sentence() -> Iterator[None]:
     except KeyboardInterrupt:
         sys.stderr.write("stopped; the same command goes on where it can\n")
         sys.exit(_INTERRUPTED)
+
+
+def _flush() -> None:
+    if sys.stdout is not None:  # as it is after `>&-`
+        sys.stdout.flush()
 
 
 def _is_unread(stream: int) -> bool:

@@ -16,7 +16,7 @@ from typing import Any
 
 import torch
 import torch.distributed as dist
-from torch.multiprocessing.spawn import ProcessException, ProcessExitedException, spawn
+from torch.multiprocessing.spawn import ProcessContext, ProcessException, ProcessExitedException, spawn
 
 from pipeline.device import prepare_process
 from pipeline.errors import ConfigError, ProcessKilled, UserError, lacks_memory
@@ -37,7 +37,7 @@ def share_work(processes: int, device: torch.device, function: Callable[..., Non
     Under torchrun this process is one of the group already, on any number of hosts, and `processes` is not used.
 
     When any process ends before its work is done, all do. Raises the UserError, OSError or lack of memory of the
-    first one that had one, and ProcessKilled where one was killed.
+    first one that had one, and ProcessKilled where a signal ended one.
     """
     if dist.is_torchelastic_launched():
         _work(int(os.environ["LOCAL_RANK"]), device, {}, function, arguments)
@@ -82,12 +82,28 @@ def _start(
     except ProcessException as error:
         if not errors.empty():
             raise errors.get() from None
-        if isinstance(error, ProcessExitedException) and error.exit_code == -signal.SIGKILL:
-            raise ProcessKilled(
-                f"process {error.error_index} of {processes} was killed, perhaps for want of memory, and the others "
-                "were stopped; run the same command again: it goes on from the last restart state"
-            ) from None
-        raise
+        killed = _find_killed(error, context)
+        if killed is None:
+            raise
+        rank, number = killed
+        how = "killed, perhaps for want of memory" if number == signal.SIGKILL else f"ended by signal {number.name}"
+        raise ProcessKilled(
+            f"process {rank} of {processes} was {how}, and the others were stopped; run the same command again: it "
+            "goes on from the last restart state"
+        ) from None
+
+
+def _find_killed(error: ProcessException, context: ProcessContext) -> tuple[int, signal.Signals] | None:
+    """Return the rank of a process that a signal has ended, and the signal; None where there is none.
+
+    Others notice that one is gone, and their error may be met first. Those that are stopped for it end by SIGTERM.
+    """
+    if isinstance(error, ProcessExitedException) and error.exit_code < 0:
+        return error.error_index, signal.Signals(-error.exit_code)
+    for rank, process in enumerate(context.processes):
+        if process.exitcode < 0 and process.exitcode != -signal.SIGTERM:
+            return rank, signal.Signals(-process.exitcode)
+    return None
 
 
 def _started(
@@ -139,6 +155,16 @@ def end_with_parent() -> None:
     parent = multiprocessing.parent_process()
     if parent and not parent.is_alive():
         sys.exit(1)
+
+
+@contextmanager
+def interrupts_ignored() -> Iterator[None]:
+    """Let processes that are started inside the block leave Ctrl-C to this one, from their first moment on."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

@@ -7,20 +7,23 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import in_one_sentence
+from pipeline.rows.entries import require_whole_entries
 
 
 def parse(description: str | None, **arguments: Any) -> Namespace:
     """Parse a stage's arguments: every one is required and named, `out=Path` is `--out PATH`.
 
     Every stage also takes `--params` (params.yaml) and `--sections`, the dotted sections of it that make up the stage's
-    config.
+    config. Raises ConfigError where the file has entries that nothing reads, or lacks some.
     """
     parser = ArgumentParser(description=description)
     parser.add_argument("--params", type=Path, required=True)
     parser.add_argument("--sections", nargs="+", required=True)
     for name, kind in arguments.items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=kind, required=True)
-    return parser.parse_args()
+    parsed = parser.parse_args()
+    require_whole_entries(parsed.params)
+    return parsed
 
 
 def run(main: Callable[[], None]) -> None:

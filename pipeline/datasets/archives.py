@@ -68,7 +68,7 @@ def read_tree(path: Path, wanted: Wanted = lambda _: True) -> Iterator[Entry]:
     try:
         read = _read_zip if _start(path).startswith(_ZIP) else _read_tar
         yield from read(path, wanted)
-    except DAMAGE as error:
+    except (*DAMAGE, NotImplementedError) as error:
         raise DataError(f"{path} is not a complete tar or zip archive ({error}); download or copy it again") from None
 
 

@@ -14,7 +14,7 @@ from jaxtyping import UInt8
 from tqdm import tqdm
 
 from pipeline.datasets.annotations import AnnotatedObject, read_objects
-from pipeline.datasets.archives import read_tree
+from pipeline.datasets.archives import is_hidden, read_tree
 from pipeline.datasets.decoding import cut_boxes
 from pipeline.datasets.folder import ENDINGS
 from pipeline.datasets.prepared import SPLITS, Dataset
@@ -81,20 +81,30 @@ def _read_texts(path: Path, categories: Sequence[str]) -> Texts:
     lists: dict[str, Sequence[str]] = {}
 
     def wanted(name: PurePosixPath) -> bool:
-        return _key(name, "Annotations", categories) is not None or any(name.match(pattern) for pattern in patterns)
+        is_annotation = _key(name, "Annotations", categories) is not None and name.suffix == ".mat"
+        return not is_hidden(name) and (is_annotation or any(name.match(pattern) for pattern in patterns))
 
     for name, content in tqdm(read_tree(path, wanted), f"reading annotations of {path.name}", disable=None):
         key = _key(name, "Annotations", categories)
         if content is None:
             continue
         if key is None:
-            lists[next(pattern for pattern in patterns if name.match(pattern))] = content.decode().split()
-        elif name.suffix == ".mat":
-            objects[key] = read_objects(content, f"{path}: {name}", key.category, key.source == "pascal")
+            pattern = next(pattern for pattern in patterns if name.match(pattern))
+            listed = content.decode("utf-8", "backslashreplace").split()  # other characters name no picture
+            _require_once(lists.setdefault(pattern, listed) == listed, f"{path}: {name}")
+        else:
+            found = read_objects(content, f"{path}: {name}", key.category, key.source == "pascal")
+            _require_once(objects.setdefault(key, found) == found, f"{path}: {name}")
     for pattern in patterns:
         if pattern not in lists:
             raise DataError(f"{path} has no {pattern}; expected release 1.1 of PASCAL3D+ with the lists of VOC 2012")
     return Texts(objects, lists)
+
+
+def _require_once(same: bool, name: str) -> None:
+    """Refuse what a release has at several depths, unless it is the same."""
+    if not same:
+        raise DataError(f"{name} is in the release twice, with different content; remove one of them")
 
 
 def _imagenet_lists(category: str) -> list[str]:
@@ -138,13 +148,15 @@ def _cut_pictures(
     categories = sorted({key.category for key in objects})
 
     def wanted(name: PurePosixPath) -> bool:
-        return name.suffix.lower() in ENDINGS and _key(name, "Images", categories) in objects
+        key = _key(name, "Images", categories)
+        return not is_hidden(name) and name.suffix.lower() in ENDINGS and key in objects
 
-    cuts = {}
+    cuts: dict[Key, list[UInt8[np.ndarray, "size size 3"]]] = {}
     for name, content in tqdm(read_tree(path, wanted), f"cutting {path.name}", total=len(objects), disable=None):
         key = _key(name, "Images", categories)
         if content is not None and key is not None:
-            cuts[key] = cut_boxes(content, f"{path}: {name}", [found.box for found in objects[key]], size)
+            parts = cut_boxes(content, f"{path}: {name}", [found.box for found in objects[key]], size)
+            _require_once(all(map(np.array_equal, cuts.setdefault(key, parts), parts)), f"{path}: {name}")
     for key in sorted(objects):
         if key not in cuts:
             raise DataError(f"{path} has no picture Images/{key.category}_{key.source}/{key.id}, which is annotated")

@@ -49,7 +49,7 @@ class MeasuredRun(NamedTuple):
     @property
     def experiment(self) -> str:
         """What runs share that differ in their seed alone."""
-        return re.sub(r"-seed\d+$", "", self.name)
+        return re.sub(r"-seed\d+(?=(-hologan|-colmap)?$)", "", self.name)
 
     def by_name(self) -> Figures:
         """Return the figures by their dotted names."""

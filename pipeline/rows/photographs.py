@@ -28,6 +28,9 @@ def turn_on_dataset(document: CommentedMap, name: str, contents: Contents | None
     datasets = document["datasets"]
     is_new, entry = name not in datasets, dict(datasets.get(name, {}))
     if contents is not None:
+        before = entry.get("kind")
+        if {before, contents.kind} == {"folder", "posed_folder"} and before in entry:
+            entry[contents.kind] = entry[before]  # a table of poses came or went: pictures stay as large
         entry |= {"kind": contents.kind, "source": str(contents.path)}
     elif is_new:
         raise ConfigError(f"no photographs of '{name}' yet; name their folder or archive with SOURCE=")

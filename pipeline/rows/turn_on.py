@@ -7,12 +7,14 @@ from typing import Any, NamedTuple
 
 from ruamel.yaml.comments import CommentedMap
 
-from pipeline.config import load, merge, require_known, scalar
+from pipeline.config import entries, load, merge, require_known, scalar
+from pipeline.datasets.prepare import PrepareConfig
 from pipeline.datasets.prepared import is_plain
 from pipeline.datasets.survey import survey
 from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
 from pipeline.networks.seed_choice import BY_SCORE
+from pipeline.rows.entries import require_whole_entries
 from pipeline.rows.params_file import put, round_trip_yaml
 from pipeline.rows.photographs import require_category, turn_on_dataset
 from pipeline.training.base_shape import BaseShapeConfig
@@ -59,10 +61,13 @@ def turn_on(path: Path, options: Options) -> str:
     pictures have another size, for features whose weights are not known, and for a run, a base shape or features of
     that name that are on with other settings.
     """
-    for section in (*SWITCHES, "rows", "sizes", "ablations"):
-        scalar(path, section)
-    yaml = round_trip_yaml()
-    document = yaml.load(path)
+    require_whole_entries(path)
+    for name in entries(path, "datasets"):
+        for key in ("kind", "source"):
+            scalar(path, f"datasets.{name}.{key}")
+        load(path, PrepareConfig, ["prepare_data", f"datasets.{name}"])
+    yaml, text = round_trip_yaml(), path.read_text(encoding="utf-8")
+    document = yaml.load(text)
     for section in SWITCHES:
         document[section] = document[section] or CommentedMap()  # after the only entry was removed
     for kind, name in (("rows", options.row), ("sizes", options.size), ("ablations", options.ablation)):
@@ -77,6 +82,8 @@ def turn_on(path: Path, options: Options) -> str:
     dataset, category = _turn_on_photographs(document, options, config)
     _turn_on_features(document, dataset, options)
     name = _turn_on_run(document, dataset, category, options)
+    if path.read_text(encoding="utf-8") != text:  # an archive takes minutes to look through
+        raise ConfigError(f"{path} was changed while this command was at work; run it again")
     with atomic_path(path) as temporary:
         yaml.dump(document, temporary)
     return name

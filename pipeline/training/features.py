@@ -161,8 +161,8 @@ def train_features(
     trainer = FeatureTrainer(config, train, initial, precision, seed)
 
     def observe(iteration: int) -> dict[str, float]:
-        right = accuracy(trainer.network, test, config, precision)
-        return {"learning_rate": trainer.learning_rate(iteration), "test_accuracy": right}
+        right = told_right(trainer.network, test, config, precision)
+        return {"learning_rate": trainer.learning_rate(iteration), "test_accuracy": right.mean().item()}
 
     schedule = Schedule(trainer.iterations, trainer.iterations_per_epoch, config.checkpoint_every)
     curve = run_training(trainer, schedule, "feature training", checkpoint, observe=observe)
@@ -170,29 +170,29 @@ def train_features(
 
 
 @torch.no_grad()
-def accuracy(network: WideResNet, pictures: Pictures, config: FeaturesConfig, precision: torch.dtype) -> float:
-    """Return the fraction of pictures the network tells right; for `rotation`, of all four turns of every picture."""
+def told_right(
+    network: WideResNet, pictures: Pictures, config: FeaturesConfig, precision: torch.dtype
+) -> Float[Tensor, " N"]:
+    """Return which pictures the network tells right, as 0 or 1; for `rotation`, the share of each one's four turns."""
     network.eval()
-    right = 0
+    shares = []
     for images, labels in zip(*(part.split(config.batch_size) for part in pictures), strict=True):
+        right = []
         for quarters in range(4 if config.method == "rotation" else 1):
             turned = images.rot90(quarters, (2, 3))
             answers = torch.full_like(labels, quarters) if config.method == "rotation" else labels
             with _multiplying_in(precision, images.device):
-                right += int((network(to_float(turned)).argmax(dim=1) == answers).sum())
-    return right / trials(pictures, config)
-
-
-def trials(pictures: Pictures, config: FeaturesConfig) -> int:
-    """Return the number of answers `accuracy` is a mean of."""
-    return len(pictures.images) * (4 if config.method == "rotation" else 1)
+                right.append(network(to_float(turned)).argmax(dim=1) == answers)
+        shares.append(torch.stack(right).double().mean(dim=0))
+    return torch.cat(shares)
 
 
 def measure(path: Path, test: Pictures, config: FeaturesConfig, device: torch.device) -> dict[str, float]:
-    """Measure the accuracy of the weights as they are stored."""
+    """Measure the accuracy of the weights as they are stored; its standard error is over pictures."""
     network = load_wide_resnet(path, device)
-    value, n = accuracy(network, test, config, torch.float32), trials(test, config)
-    error = math.sqrt(value * (1 - value) / n)
+    shares = told_right(network, test, config, torch.float32)
+    value, n = shares.mean().item(), len(shares)
+    error = math.sqrt(max(0.0, shares.square().mean().item() - value * value) / n)
     return {"accuracy": value, "accuracy_standard_error": error, "n": n, "parameters": count_parameters(network)}
 
 

@@ -1,7 +1,9 @@
 """Two processes that share a training do what one does, hold the same state, and resume when one was killed."""
 
+import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -12,6 +14,7 @@ from unittest.mock import patch
 import numpy as np
 import pytest
 import torch
+import torch.distributed as dist
 
 from pipeline import distributed
 from pipeline.errors import ConfigError, ProcessKilled
@@ -153,6 +156,18 @@ def soon(happens: Callable[[], bool]) -> bool:
     while not happens() and time.monotonic() < end:
         time.sleep(0.1)
     return happens()
+
+
+def be_ended() -> None:
+    """Let the second process be ended from outside, and the first notice that it is gone."""
+    if dist.get_rank() == 1:
+        os.kill(os.getpid(), signal.SIGTERM)
+    dist.barrier()
+
+
+def test_a_process_that_another_signal_ends_is_named() -> None:
+    with pytest.raises(ProcessKilled, match="process 1 of 2 was ended by signal SIGTERM, and the others were stopped"):
+        share_work(2, CPU, be_ended)
 
 
 def test_what_a_file_system_refuses_a_process_is_raised_here(tmp_path: Path) -> None:

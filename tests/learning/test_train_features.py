@@ -11,17 +11,18 @@ from pipeline.errors import ConfigError, DataError, TrainingDiverged
 from pipeline.networks.feature_extractor import save_feature_extractor
 from pipeline.networks.wide_resnet import WideResNet, load_wide_resnet
 from pipeline.seeding import generator
+from pipeline.training import features
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.features import (
     FeaturesConfig,
     FeatureTrainer,
     Pictures,
-    accuracy,
     list_categories,
     load_pictures,
+    measure,
     one_cycle,
+    told_right,
     train_features,
-    trials,
 )
 
 NO_WEIGHTS = Path("none.safetensors")
@@ -62,16 +63,24 @@ def test_a_small_network_learns_the_task(method: str, tmp_path: Path) -> None:
     network, curve = train_features(
         config, bars(192, 0), bars(64, 1), NO_WEIGHTS, torch.float32, 0, Checkpoint(tmp_path, "key")
     )
-    assert accuracy(network, bars(64, 1), config, torch.float32) > 0.9
+    right = told_right(network, bars(64, 1), config, torch.float32)
+    assert right.mean() > 0.9
     assert [row["iteration"] for row in curve.rows] == [12, 24, 36, 48, 60, 72]
-    assert curve.rows[-1]["test_accuracy"] == pytest.approx(
-        accuracy(network, bars(64, 1), config, torch.float32), abs=1e-6
-    )
+    assert curve.rows[-1]["test_accuracy"] == pytest.approx(right.mean().item(), abs=1e-6)
 
 
-def test_rotation_is_asked_of_every_turn() -> None:
-    assert trials(bars(6, 0), replace(CONFIG, method="rotation")) == 24
-    assert trials(bars(6, 0), CONFIG) == 6
+@pytest.mark.parametrize("method", ["classification", "rotation"])
+def test_errors_are_over_pictures_of_which_all_turns_are_asked(
+    method: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    config = replace(CONFIG, method=method)
+
+    monkeypatch.setattr(WideResNet, "forward", lambda _, images: torch.eye(4)[0].expand(len(images), -1))
+    monkeypatch.setattr(features, "load_wide_resnet", lambda *_: WideResNet(10, 1, 4))
+    figures = measure(tmp_path, bars(6, 0), config, torch.device("cpu"))
+    assert figures["n"] == 6
+    assert figures["accuracy"] == (0.25 if method == "rotation" else 0.5)
+    assert figures["accuracy_standard_error"] == pytest.approx(0 if method == "rotation" else 0.5 / 6**0.5)
 
 
 def test_a_killed_training_ends_with_the_same_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,6 @@
 """A copy of the project whose numbers are so small that the whole chain runs within a minute."""
 
 import os
-import re
 import shutil
 import subprocess
 import sys
@@ -11,8 +10,6 @@ from typing import Any
 
 from numba.core.caching import UserProvidedCacheLocator
 from ruamel.yaml import YAML
-from ruamel.yaml.nodes import ScalarNode
-from ruamel.yaml.representer import SafeRepresenter
 
 from pipeline.rendering.compiled import config
 from tests.fresh_params import write_fresh_params
@@ -124,15 +121,7 @@ def read_params(folder: Path) -> dict[str, Any]:
 
 
 def write_params(folder: Path, params: dict[str, Any]) -> None:
-    yaml = YAML(typ="safe", pure=True)
-    yaml.representer.add_representer(float, _represent)
-    yaml.dump(params, folder / "params.yaml")
-
-
-def _represent(representer: SafeRepresenter, value: float) -> ScalarNode:
-    """Write 5.0e-05, a number, where Python writes 5e-05, a text to YAML 1.1."""
-    text = re.sub(r"^(-?\d+)e", r"\1.0e", repr(value))
-    return representer.represent_scalar("tag:yaml.org,2002:float", text)
+    YAML(typ="safe", pure=True).dump(params, folder / "params.yaml")
 
 
 def run(folder: Path, *command: str) -> str:

@@ -61,7 +61,7 @@ wrong:
   unordered: {rate: .nan}
   endless: {rate: .inf}
   undefined: {limit: .nan}
-  exponent: {rate: 1e-4}
+  quoted: {rate: '1e-4'}
   choice: {recipe: label}
   length: {betas: [0.5]}
   item: {widths: [8, wide]}
@@ -87,6 +87,15 @@ def test_values_keep_their_types(params: Path) -> None:
     assert (config.recipe, config.smooth, config.note) == ("labels", True, "plain")
     assert config.limit is None
     assert config.turn is None
+
+
+@pytest.mark.parametrize("number", ["5e-05", "1E5", "2.e+3", "+.5e3", "1.0e-4", "3"])
+def test_numbers_are_those_of_newer_yaml_which_dvc_writes(tmp_path: Path, number: str) -> None:
+    path = tmp_path / "params.yaml"
+    path.write_text(DOCUMENT.replace("rate: 1.0e-4", f"rate: {number}"))
+    assert load(path, Stage, ["stage"]).rate == float(number)
+    path.write_text("names: {1e5-cart: '1e5', other: 1e5x}")
+    assert scalar(path, "names") == {"1e5-cart": "1e5", "other": "1e5x"}
 
 
 def test_later_sections_replace_only_what_they_name(params: Path) -> None:
@@ -115,7 +124,7 @@ def test_later_sections_replace_only_what_they_name(params: Path) -> None:
         ("wrong.unordered", ["'wrong.unordered.rate' is nan; expected a number", ", above 0"]),
         ("wrong.endless", ["'wrong.endless.rate' is inf; expected a number", ", above 0"]),
         ("wrong.undefined", ["'wrong.undefined.limit' is nan; expected a number"]),
-        ("wrong.exponent", ["'wrong.exponent.rate' is '1e-4'", "1.0e-4"]),
+        ("wrong.quoted", ["'wrong.quoted.rate' is '1e-4'; expected a number"]),
         ("wrong.choice", ["'wrong.choice.recipe' is 'label'", "one of 'labels', 'rotation'"]),
         ("wrong.length", ["'wrong.length.betas' is [0.5]", "a list of 2"]),
         ("wrong.item", ["'wrong.item.widths'", "any number of items, each a whole number"]),

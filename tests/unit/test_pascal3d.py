@@ -35,6 +35,33 @@ def test_whole_visible_objects_are_taken_and_split(tmp_path: Path, form: str) ->
     assert {split: len(group["car"]) for split, group in dataset.images.items()} == {"train": 3, "test": 1}
 
 
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("Image_sets/car_imagenet_train.txt", b"n02_2\n"),
+        ("Annotations/car_pascal/2008_1.mat", annotation("2008_1.jpg", car(BOX, viewpoint(1.0)))),
+        ("Images/car_pascal/2008_1.jpg", photograph("L")),
+    ],
+)
+def test_what_is_there_twice_and_differs_is_refused(tmp_path: Path, name: str, content: bytes) -> None:
+    whole = release()
+    twice = whole | {f"old/{name}": whole[name]}
+    assert len(read_pascal3d(write_folder(tmp_path / "same", twice), CONFIG).images["train"]["car"]) == 3
+    source = write_folder(tmp_path / "other", whole | {f"old/{name}": content})
+    with pytest.raises(DataError, match=r"other: .* is in the release twice, with different content; remove one"):
+        read_pascal3d(source, CONFIG)
+
+
+def test_hidden_files_are_passed_over(tmp_path: Path) -> None:
+    hidden = {
+        f"{folder}{kind}/car_pascal/._2008_1.{ending}": b"of a Mac"
+        for folder in ("", "__MACOSX/")
+        for kind, ending in (("Annotations", "mat"), ("Images", "jpg"))
+    }
+    source = write_folder(tmp_path, release() | hidden | {f"{VOC}/train.txt": b"2008_1\n2008_2\n\xff\n"})
+    assert len(read_pascal3d(source, CONFIG).images["train"]["car"]) == 3
+
+
 def test_boxes_are_cut_and_made_square(tmp_path: Path) -> None:
     images = read_pascal3d(write_folder(tmp_path, release()), CONFIG).images
     colored = images["train"]["car"][2].astype(float)  # columns 11 to 50 and rows 21 to 40, counted from 1

@@ -12,6 +12,7 @@ import yaml
 from pipeline.datasets.images import load_images, load_images_of_size
 from pipeline.errors import DataError
 from pipeline.files import read_json
+from pipeline.rows.entries import NAMES
 from stages import prepare_data
 from stages.command_line import run
 from tests.picture_trees import noise, picture, tree, write_folder, write_tar
@@ -35,7 +36,8 @@ def prepare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Pa
         section = {"toybox": TOYBOX, "cifar10": {"md5": MD5}, "folder": {"size": 32, "fit": "crop"}}
         section["posed_folder"] = {"size": 32, "fit": "pad"}
         section["pascal3d"] = {"size": 32, "categories": ["car"]}
-        params = {"prepare_data": section, "datasets": {"mine": {"kind": kind, "source": str(source), **changes}}}
+        params: dict[str, object] = {entries: {} for entries in NAMES}
+        params |= {"prepare_data": section, "datasets": {"mine": {"kind": kind, "source": str(source), **changes}}}
         (tmp_path / "params.yaml").write_text(yaml.safe_dump(params), encoding="utf-8")
         arguments = ["--params", str(tmp_path / "params.yaml"), "--sections", "prepare_data", "datasets.mine"]
         outputs = ["--out", str(out / "prepared"), "--truth", str(out / "truth")]

@@ -35,6 +35,12 @@ def test_runs_stand_with_their_errors_and_seeds_with_their_mean(tmp_path: Path) 
     assert re.findall(r'<td><a href="(.*?)">', text) == ["horse/index.html"]
 
 
+def test_seeds_of_a_baseline_are_one_experiment() -> None:
+    names = ("car-colmap", "car-seed1-colmap", "car-seed12-colmap", "car-seed1", "car-seed1-longer")
+    experiments = [MeasuredRun(name, None, {}).experiment for name in names]
+    assert experiments == ["car-colmap"] * 3 + ["car", "car-seed1-longer"]
+
+
 def test_names_are_escaped(tmp_path: Path) -> None:
     write_runs_page(tmp_path / "index.html", [MeasuredRun("a<b", "a<b/index.html", figures(1))])
     assert '<a href="a&lt;b/index.html">a&lt;b</a>' in (tmp_path / "index.html").read_text()

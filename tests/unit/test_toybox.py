@@ -1,5 +1,7 @@
 """The toybox is repeatable, its ground truth is true, and its pictures are not easy."""
 
+import os
+import signal
 from itertools import product
 from pathlib import Path
 from unittest.mock import patch
@@ -15,7 +17,7 @@ from pipeline.datasets.toybox.photograph import PhotographConfig, photograph
 from pipeline.datasets.toybox.toybox import CATEGORIES, ToyboxConfig, make_toybox
 from pipeline.datasets.toybox.views import choose_poses
 from pipeline.datasets.truth import GroundTruth
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, ProcessKilled, UserError
 from pipeline.files import sha256
 from pipeline.geometry.camera import CameraConfig, Pose, project
 from pipeline.rendering.rasterize import rasterize
@@ -134,6 +136,31 @@ def test_processes_take_the_photographs_that_one_takes(monkeypatch: pytest.Monke
         assert isinstance(theirs, GroundTruth)
         for value, expected in zip(ours, theirs, strict=True):
             np.testing.assert_array_equal(value, expected)
+
+
+def be_killed(*_: object) -> None:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_killed_process_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+    monkeypatch.setattr(toybox, "_CHUNKS_WORTH_A_PROCESS", 1)
+    monkeypatch.setattr(toybox, "_photograph_chunk", be_killed)
+    with pytest.raises(ProcessKilled, match="a process that made the toybox was killed"):
+        make_toybox(ToyboxConfig(seed=0, train_count=3, test_count=2, photograph=CONFIG))
+    assert signal.getsignal(signal.SIGINT) == signal.default_int_handler
+
+
+def tell_how_interrupts_are_taken(*_: object) -> None:
+    raise UserError(repr(signal.getsignal(signal.SIGINT)))
+
+
+def test_interrupts_are_left_to_the_one_that_started_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+    monkeypatch.setattr(toybox, "_CHUNKS_WORTH_A_PROCESS", 1)
+    monkeypatch.setattr(toybox, "_photograph_chunk", tell_how_interrupts_are_taken)
+    with pytest.raises(UserError, match="SIG_IGN"):
+        make_toybox(ToyboxConfig(seed=0, train_count=1, test_count=1, photograph=CONFIG))
 
 
 def test_a_larger_toybox_begins_with_the_smaller() -> None:

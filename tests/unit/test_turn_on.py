@@ -7,6 +7,7 @@ from ruamel.yaml import YAML
 
 from pipeline.config import entries, load
 from pipeline.datasets.prepare import PrepareConfig
+from pipeline.datasets.survey import Contents, survey
 from pipeline.errors import ConfigError, UserError
 from pipeline.rows.params_file import round_trip_yaml
 from pipeline.rows.turn_on import Options, turn_on, turn_on_baseline
@@ -323,6 +324,63 @@ def test_a_wrong_name_changes_nothing(params: Path, options: Options, words: str
     with pytest.raises(UserError, match=words):
         turn_on(params, options)
     assert params.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("section", "entry", "message"),
+    [
+        ("rows", {"mine": {"learn_base_shape": {}, "train_full": {}}}, "has no 'rows.mine.dataset'; write it as"),
+        ("ablations", {"mine": {"train_full": {}}}, "has no 'ablations.mine.learn_base_shape'"),
+        ("ablations", {"mine": {"train_full": {}, "learn_base_shape": None}}, "must be a section of keys and values"),
+        ("sizes", {"mine": {"learn_base_shape": {}}}, "has no 'sizes.mine.train_features'"),
+        ("rows", {"mine": {"fine_tune": {}}}, "rows.mine has no 'fine_tune'; "),
+        ("runs", {"mine": {"ablaton": "none"}}, "runs.mine has no 'ablaton'; did you mean 'ablation'"),
+        ("runs", {"mine": {"chosen": 1}}, "runs.mine has no 'chosen'; "),
+        ("runs", {"mine": None}, "'runs.mine' must be a section"),
+        ("runs", ["mine"], "'runs' must be a section"),
+        ("hologan", {"mine": {"row": "toybox-car"}}, "hologan.mine has no 'row'"),
+        ("datasets", {"mine": {"source": "photographs"}}, "has no 'datasets.mine.kind'"),
+        ("datasets", {"mine": {"kind": "foldr", "source": "photographs"}}, "'foldr'.*folder"),
+    ],
+)
+def test_entries_written_by_hand_are_whole(params: Path, section: str, entry: object, message: str) -> None:
+    yaml = YAML(typ="safe")
+    document = yaml.load(params)
+    document[section] = document[section] | entry if isinstance(entry, dict) else entry
+    yaml.dump(document, params)
+    before = params.read_bytes()
+    with pytest.raises(ConfigError, match=message):
+        turn_on(params, Options("toybox-car"))
+    assert params.read_bytes() == before
+
+
+def test_what_is_written_meanwhile_is_not_undone(
+    params: Path, photographs: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def look_and_edit(source: Path) -> Contents:
+        params.write_text(params.read_text().replace("memory: 8 ", "memory: 3 "))
+        return survey(source)
+
+    monkeypatch.setattr("pipeline.rows.turn_on.survey", look_and_edit)
+    options = Options("cifar10-automobile", source=photographs, dataset="market", category="cart")
+    with pytest.raises(ConfigError, match=r"params\.yaml was changed while this command was at work; run it again"):
+        turn_on(params, options)
+    assert "memory: 3 " in params.read_text()
+    assert turn_on(params, options) == "market-cart"
+    assert "memory: 3 " in params.read_text()
+
+
+def test_a_table_of_poses_that_comes_later_keeps_the_size(params: Path, tmp_path: Path) -> None:
+    source = write_folder(tmp_path / "cars", tree())
+    options = Options("cifar10-automobile", dataset="cars", category="car", source=source)
+    turn_on(params, options)
+    document = YAML(typ="safe").load(params)
+    document["datasets"]["cars"]["folder"] = {"size": 32, "fit": "pad"}
+    YAML(typ="safe").dump(document, params)
+    (source / "poses.csv").touch()
+    assert turn_on(params, options) == "cars-car"
+    found = YAML(typ="safe").load(params)["datasets"]["cars"]
+    assert (found["kind"], found["posed_folder"]) == ("posed_folder", {"size": 32, "fit": "pad"})
 
 
 def test_features_by_a_given_network_need_its_weights(params: Path, photographs: Path) -> None:

@@ -3,6 +3,7 @@
 import multiprocessing
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -22,7 +23,8 @@ from pipeline.datasets.toybox.photograph import PhotographConfig, photograph
 from pipeline.datasets.toybox.surroundings import Setting
 from pipeline.datasets.toybox.views import ViewRange
 from pipeline.datasets.truth import GroundTruth, concatenate
-from pipeline.launch import divided_threads, end_with_parent
+from pipeline.errors import ProcessKilled
+from pipeline.launch import divided_threads, end_with_parent, interrupts_ignored
 from pipeline.ranges import Count, Natural
 from pipeline.seeding import numpy_generator
 
@@ -80,7 +82,7 @@ Taken = tuple[UInt8[np.ndarray, "_ H W 3"], GroundTruth]
 def make_toybox(config: ToyboxConfig) -> Dataset:
     """Photograph every category, by as many processes as there are threads; their number changes no byte.
 
-    The same seed gives the same bytes on the same machine.
+    The same seed gives the same bytes on the same machine. Raises ProcessKilled where a signal ended a process.
     """
     counts = {"train": config.train_count, "test": config.test_count}
     chunks = [
@@ -107,7 +109,14 @@ def _photograph_all(config: ToyboxConfig, chunks: list[Chunk]) -> list[Taken]:
         return [take(chunk) for chunk in progress(chunks)]
     context = multiprocessing.get_context("spawn")
     with divided_threads(processes), ProcessPoolExecutor(processes, context, end_with_parent) as pool:
-        return list(progress(pool.map(take, chunks)))
+        with interrupts_ignored():
+            taken = pool.map(take, chunks)
+        try:
+            return list(progress(taken))
+        except BrokenProcessPool:
+            raise ProcessKilled(
+                "a process that made the toybox was killed, perhaps for want of memory; run the same command again"
+            ) from None
 
 
 def _photograph_chunk(config: ToyboxConfig, chunk: Chunk) -> Taken:
