@@ -19,13 +19,13 @@ ROOT = Path(__file__).parents[2]
 TINY: dict[str, Any] = {
     "device": "cpu",
     "precision": "bfloat16",  # wherever the tests run; unit tests have float32
-    "prepare_data": {"toybox": {"train_count": 16, "test_count": 4, "photograph": {"supersampling": 2}}},
+    "prepare_data": {"toybox": {"train_count": 8, "test_count": 4, "photograph": {"supersampling": 2}}},
     "train_features": {
         "method": "rotation",
         "depth": 10,
         "width": 1,
         "epochs": 3,
-        "batch_size": 16,
+        "batch_size": 8,
         "checkpoint_every": 1,
     },
     "learn_base_shape": {
