@@ -1,6 +1,5 @@
 """Full training: encoders and decoders around a base shape (paper section 3.2)."""
 
-from functools import partial
 from pathlib import Path
 
 import torch
@@ -54,7 +53,7 @@ def train_full(
     photographs = Photographs(images, extractor, config.batch_size, memory)
     trainer = FullTrainer(config, photographs, extractor, base, seed)
     schedule = Schedule(config.iterations, config.curve_every, config.checkpoint_every)
-    prepare = partial(trainer.start_from, scenes) if config.model.two_stage else None
+    prepare = trainer.starting_from(scenes) if config.model.two_stage else ()
     curve = run_training(trainer, schedule, "full training", checkpoint, prepare)
     trainer.finish()
     return trainer, curve

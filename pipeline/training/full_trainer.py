@@ -174,25 +174,29 @@ class FullTrainer:
         take_step(losses["loss"], self.optimizer)
         return average_losses(losses)
 
-    def start_from(self, scenes: LearnedScenes) -> None:
-        """Learn to read the base shape's renderings; record first poses of the first photographs from all seeds' ones.
+    def starting_from(self, scenes: LearnedScenes) -> list[Callable[[], None]]:
+        """List what comes before the first step of two-stage training: warm-up, first poses, lessons from them."""
+        start = [partial(warm_up, self.model, scenes.generators[0], self.config.warm_up, self.rng)]
+        if (first := self.config.first_poses) is not None:
+            start += [partial(self._record_first_poses, scenes, first), partial(self._learn_first_poses, first)]
+        return start
 
-        The pose networks, which learn them, read the poses of the others.
-        """
-        config, first = self.config, self.config.first_poses
-        warm_up(self.model, scenes.generators[0], config.warm_up, self.rng)
-        if first is None:
-            return
-        photographs = self.photographs.images
-        images = photographs[: first.photographs]
-        poses = first_poses(self.model, scenes, self.extractor, images, first, config.warm_up.light, self.rng)
+    def _record_first_poses(self, scenes: LearnedScenes, config: FirstPosesConfig) -> None:
+        """Record first poses of the first photographs from the base shapes of all seeds."""
+        images, light = self.photographs.images[: config.photographs], self.config.warm_up.light
+        poses = first_poses(self.model, scenes, self.extractor, images, config, light, self.rng)
         agree([poses])
-        index = torch.arange(len(poses), device=poses.device)
-        learn_poses(self.model, photographs, index, poses, config.lessons, self.rng)
-        if len(poses) < len(photographs):
-            poses = torch.cat([poses, read_poses(self.model, photographs, len(poses))])
-            agree([poses])
-        self.record.pose.copy_(poses)
+        self.record.pose[: len(poses)] = poses
+
+    def _learn_first_poses(self, config: FirstPosesConfig) -> None:
+        """Let the pose networks learn the recorded first poses, and record what they then read off the others."""
+        photographs, poses = self.photographs.images, self.record.pose
+        count = min(config.photographs, len(photographs))
+        self._learn(torch.arange(count, device=poses.device), poses)
+        if count < len(photographs):
+            read = read_poses(self.model, photographs, count)
+            agree([read])
+            poses[count:] = read
 
     def turn_round(self, config: EndsConfig) -> None:
         """Turn recorded poses of photographs that show the opposite ends, and let the pose networks learn them.

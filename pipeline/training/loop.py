@@ -1,6 +1,6 @@
 """The loop of trainings that may be killed and go on: progress, curve, restart states."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -43,24 +43,24 @@ def run_training(
     schedule: Schedule,
     name: str,
     checkpoint: Checkpoint,
-    prepare: Callable[[], None] | None = None,
+    prepare: Sequence[Callable[[], None]] = (),
     observe: Callable[[int], Mapping[str, float]] = lambda _iteration: {},
     until: int | None = None,
 ) -> Curve:
     """Take all steps of a training, going on from the checkpoint where there is one; return the mean losses.
 
-    `name` stands beside the progress bar and in errors. `prepare` comes before the first step, and what it has changed
-    is saved; `observe` measures what else a row of the curve holds, after the row's last iteration. With `until`, only
-    the steps before that one are taken, and a later call takes the others.
+    `name` stands beside the progress bar and in errors. What `prepare` lists is called in turn before the first step,
+    and what each has changed is saved; `observe` measures what else a row of the curve holds, after the row's last
+    iteration. With `until`, only the steps before that one are taken, and a later call takes the others.
 
     A killed call that is repeated with the same checkpoint ends with the same bytes (CPU). Raises TrainingDiverged
     where a loss or a weight is not finite, before the next restart state is written.
     """
-    state = _restore(trainer, checkpoint)
-    if state is None and prepare is not None:
-        prepare()
-        checkpoint.save(pack(**trainer.parts()), {"iteration": 0, "rows": [], "recent": []})
-    first, curve, recent = state or (0, Curve(), [])
+    prepared, first, curve, recent = _restore(trainer, checkpoint) or (0, 0, Curve(), [])
+    for call in prepare[prepared:]:
+        call()
+        prepared += 1
+        checkpoint.save(pack(**trainer.parts()), {"prepared": prepared, "iteration": 0, "rows": [], "recent": []})
     unread: list[Mapping[str, Float[Tensor, ""]]] = []
     total = schedule.iterations
     last = total if until is None else until
@@ -77,18 +77,22 @@ def run_training(
         if is_saved:
             tensors = pack(**trainer.parts())
             require_finite(tensors, iteration, name)
-            checkpoint.save(tensors, {"iteration": done, "rows": curve.rows, "recent": recent})
+            values = {"prepared": prepared, "iteration": done, "rows": curve.rows, "recent": recent}
+            checkpoint.save(tensors, values)
     return curve
 
 
-def _restore(trainer: Trainer, checkpoint: Checkpoint) -> tuple[int, Curve, list[dict[str, float]]] | None:
-    """Take over a restart state; return its iteration, the curve, and the losses since the curve's last row."""
+def _restore(trainer: Trainer, checkpoint: Checkpoint) -> tuple[int, int, Curve, list[dict[str, float]]] | None:
+    """Take over a restart state; return what has been prepared, its iteration, the curve and the losses since its end.
+
+    Those are the losses that no row of the curve has yet.
+    """
     restored = checkpoint.load()
     if restored is None:
         return None
     tensors, values = restored
     unpack(tensors, **trainer.parts())
-    return values["iteration"], Curve(values["rows"]), values["recent"]
+    return values["prepared"], values["iteration"], Curve(values["rows"]), values["recent"]
 
 
 def _means(rows: list[dict[str, float]]) -> dict[str, float]:

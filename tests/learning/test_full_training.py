@@ -3,6 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock, patch
 
 import numpy as np
 import pytest
@@ -89,6 +90,20 @@ def test_interrupted_training_ends_with_the_same_bytes(
     halves = state(train(config, tmp_path / "halves", precision=precision))
     assert whole.keys() == halves.keys()
     assert [name for name in whole if not torch.equal(whole[name], halves[name])] == []
+
+
+@pytest.mark.parametrize("deadly", ["first_poses", "learn_poses"])
+def test_a_start_that_dies_goes_on_after_what_is_done(
+    deadly: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert TRAINING.first_poses is not None
+    config = replace(TRAINING, iterations=2, first_poses=replace(TRAINING.first_poses, photographs=6))
+    whole = state(train(config, tmp_path / "whole"))
+    with patch.object(full_trainer, deadly, side_effect=KeyboardInterrupt), pytest.raises(KeyboardInterrupt):
+        train(config, tmp_path / "dead")
+    monkeypatch.setattr(full_trainer, "warm_up", Mock(side_effect=AssertionError("the warm-up is done")))
+    resumed = state(train(config, tmp_path / "dead"))
+    assert [name for name in whole if not torch.equal(whole[name], resumed[name])] == []
 
 
 @pytest.mark.parametrize(("two_stage", "first_poses"), [(True, True), (True, False), (False, True)])

@@ -21,8 +21,8 @@ from pipeline.errors import ConfigError, ProcessKilled
 from pipeline.files import read_json
 from pipeline.launch import resolve_processes, share_work
 from pipeline.tensor_files import load_tensors
+from pipeline.training import full_trainer
 from pipeline.training.checkpoint import Checkpoint
-from pipeline.training.full_trainer import FullTrainer
 from tests.shared_trainings import SEEDS, take_steps, train
 from tests.tiny_full_model import TRAINING
 
@@ -122,7 +122,7 @@ def test_a_killed_process_ends_the_training_which_resumes_to_the_same_bytes(
 
 def test_one_process_goes_on_where_one_of_two_was_killed(one: Path, killed: Path, tmp_path: Path) -> None:
     shutil.copytree(killed, tmp_path, dirs_exist_ok=True)
-    with patch.object(FullTrainer, "start_from", side_effect=AssertionError("the training began anew")):
+    with patch.object(full_trainer, "warm_up", side_effect=AssertionError("the training began anew")):
         share_work(1, CPU, train, tmp_path, None)
     assert _differences(one / "full.safetensors", tmp_path / "full.safetensors") == {}
     resumed, whole = (np.loadtxt(folder / "full.csv", delimiter=",", skiprows=1) for folder in (tmp_path, one))

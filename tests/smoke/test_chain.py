@@ -23,7 +23,7 @@ pytestmark = pytest.mark.slow
 RESTART_STATES = {
     "train_features": (12, 12),
     "learn_base_shape": (6, 12),
-    "train_full": (7, 7),
+    "train_full": (9, 9),
     "fine_tune": (3, 4),
     "train_hologan": (15, 20),
 }

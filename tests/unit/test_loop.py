@@ -1,5 +1,6 @@
 """The loop of trainings: what it writes down, and what it refuses to."""
 
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -68,13 +69,27 @@ def test_a_training_that_dies_after_every_step_ends_as_one_that_lives(tmp_path: 
     assert last.place == whole.place
 
 
-def test_what_prepares_a_training_happens_once(tmp_path: Path) -> None:
-    prepared: list[int] = []
-    for _ in range(2):
-        run_training(
-            Descent(), Schedule(0, 1, 1), "descent", Checkpoint(tmp_path, "key"), prepare=lambda: prepared.append(1)
-        )
-    assert prepared == [1]
+def test_what_prepares_a_training_happens_once_in_turn_and_is_kept(tmp_path: Path) -> None:
+    prepared: list[str] = []
+
+    def run(*deadly: str) -> Descent:
+        descent = Descent()
+
+        def prepare(name: str) -> None:
+            if name in deadly:
+                raise KeyboardInterrupt
+            prepared.append(name)
+            descent.place += 1
+
+        calls = [partial(prepare, name) for name in "abc"]
+        run_training(descent, Schedule(1, 1, 1), "descent", Checkpoint(tmp_path, "key"), prepare=calls)
+        return descent
+
+    for deadly in "bc":
+        with pytest.raises(KeyboardInterrupt):
+            run(deadly)
+    assert [run().place, run().place] == [2.0, 2.0]
+    assert prepared == ["a", "b", "c"]
 
 
 @pytest.mark.parametrize("broken_from", [3, 5])
