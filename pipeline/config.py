@@ -1,4 +1,4 @@
-"""Read params.yaml into frozen dataclasses, strictly: the only reader of YAML in the project."""
+"""Read params.yaml into frozen dataclasses, strictly: the only reader of settings; `pipeline.rows` edits the file."""
 
 import difflib
 import json

@@ -70,7 +70,7 @@ def _parser() -> ArgumentParser:
     reconstruct.add_argument(
         "--paint",
         action="store_true",
-        help="paint each mesh with what its photograph shows, as sharp as that is; best after --fine-tune",
+        help="paint each mesh with up to 128 pixels of its photograph a side; best after --fine-tune",
     )
     reconstruct.set_defaults(command=_reconstruct)
     arrange = commands.add_parser("arrange", help="bring a folder of photographs into the form to learn from")

@@ -1,4 +1,4 @@
-"""Painting reconstructions with what their photographs show, at the photographs' own resolution."""
+"""Painting reconstructions with what their photographs show, at the photographs' own resolution up to a limit."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
