@@ -86,6 +86,11 @@ def entries(path: Path, key: str) -> dict[str, dict[str, Any]]:
     return {name: _section(document, f"{key}.{name}", path) for name in found}
 
 
+def names(path: Path) -> list[str]:
+    """Return the names of a file's sections and single values."""
+    return list(_read(path))
+
+
 def _read(path: Path) -> dict[str, Any]:
     try:
         document = _parse(path.read_text(encoding="utf-8"))

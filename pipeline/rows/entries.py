@@ -1,11 +1,20 @@
-"""Entries of params.yaml: what is on, and what rows, sizes and ablations change."""
+"""Names in params.yaml that no stage's settings hold: what is on, and what rows, sizes and ablations change."""
 
 from collections.abc import Mapping
 from pathlib import Path
 
-from pipeline.config import entries, require_known
+from pipeline.config import entries, names, require_known, scalar
 from pipeline.errors import ConfigError
 
+_TOP = ("device", "precision", "memory", "processes", "weights", "datasets")
+"""Names at the top of the file, besides those of entries and of stages."""
+_SETTINGS = (
+    *("prepare_data", "train_features", "learn_base_shape", "evaluate_base_shape", "remesh", "train_full", "fine_tune"),
+    *("evaluate", "report", "paint", "train_hologan", "evaluate_colmap"),
+)
+"""Sections of stages' settings, and of painting's."""
+_SHARED = ("train_features", "learn_base_shape", "train_full")
+"""Stages whose work several processes can share."""
 _LEARNED = ("size", "seed", "dataset", "category", "features")
 NAMES: Mapping[str, tuple[str, ...]] = {
     "features": ("dataset", "size", "seed", "weights"),
@@ -27,16 +36,21 @@ _STAGES: Mapping[str, tuple[str, ...]] = {
 
 
 def require_whole_entries(path: Path) -> None:
-    """Raise ConfigError for an entry that lacks a key or has one that nothing reads, with the nearest one.
+    """Raise ConfigError for a name that nothing reads, with the nearest one, and for an entry that lacks a key.
 
     What stages' settings hold is looked at by the stages.
     """
-    for section, names in NAMES.items():
+    for name in names(path):
+        require_known(name, (*_TOP, *_SETTINGS, *NAMES), f"{path}: nothing reads")
+    processes = scalar(path, "processes") if "processes" in names(path) else None
+    for name in processes if isinstance(processes, dict) else ():
+        require_known(name, _SHARED, f"{path}: processes has no")
+    for section, values in NAMES.items():
         stages = _STAGES.get(section, ())
         for name, entry in entries(path, section).items():
             for key in entry:
-                require_known(key, (*names, *stages), f"{path}: {section}.{name} has no")
-            for key in (*names, *stages):
+                require_known(key, (*values, *stages), f"{path}: {section}.{name} has no")
+            for key in (*values, *stages):
                 if key not in entry:
                     raise ConfigError(f"{path} has no '{section}.{name}.{key}'; write it as its neighbours have it")
                 if isinstance(entry[key], dict) != (key in stages):

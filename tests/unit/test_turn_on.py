@@ -285,7 +285,7 @@ def test_the_official_archive_is_known_by_its_name(params: Path, tmp_path: Path)
 def test_what_is_no_parameter_file_is_said(params: Path) -> None:
     text = params.read_text()
     params.write_text(text.replace("\nrows:", "\nrws:"))
-    with pytest.raises(ConfigError, match="has no 'rows'; did you mean 'rws'"):
+    with pytest.raises(ConfigError, match="nothing reads 'rws'; did you mean 'rows'"):
         turn_on(params, Options("toybox-car"))
     params.write_text(text + "\n]")
     with pytest.raises(ConfigError, match="is not valid YAML"):
@@ -339,6 +339,8 @@ def test_a_wrong_name_changes_nothing(params: Path, options: Options, words: str
         ("runs", {"mine": None}, "'runs.mine' must be a section"),
         ("runs", ["mine"], "'runs' must be a section"),
         ("hologan", {"mine": {"row": "toybox-car"}}, "hologan.mine has no 'row'"),
+        ("processes", {"fine_tune": 2}, "processes has no 'fine_tune'; "),
+        ("presicion", "float32", "nothing reads 'presicion'; did you mean 'precision'"),
         ("datasets", {"mine": {"source": "photographs"}}, "has no 'datasets.mine.kind'"),
         ("datasets", {"mine": {"kind": "foldr", "source": "photographs"}}, "'foldr'.*folder"),
     ],
