@@ -22,6 +22,8 @@ _OUTSIDE = {
     errno.EROFS,
 }
 """What a file system refuses for reasons that lie outside of the program."""
+STOPPED = "stopped; the same command goes on where it can\n"
+"""What a program that is stopped from outside says."""
 _INTERRUPTED = 130
 """Status of a program that was stopped by Ctrl-C."""
 _UNREAD = 141
@@ -91,7 +93,7 @@ def in_one_sentence() -> Iterator[None]:
             f"error: there is not enough memory ({reason}); lower `memory` or this stage's batch_size in params.yaml"
         )
     except KeyboardInterrupt:
-        sys.stderr.write("stopped; the same command goes on where it can\n")
+        sys.stderr.write(STOPPED)
         sys.exit(_INTERRUPTED)
 
 

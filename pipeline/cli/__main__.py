@@ -10,7 +10,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from types import FrameType
 
-from pipeline.errors import in_one_sentence
+from pipeline.errors import STOPPED, in_one_sentence
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -27,7 +27,7 @@ def _ended_by_signals() -> Iterator[None]:
     """Let SIGTERM and SIGHUP end the program as Ctrl-C does, with what is half written removed."""
 
     def end(number: int, _: FrameType | None) -> None:
-        sys.stderr.write("stopped; the same command goes on where it can\n")
+        sys.stderr.write(STOPPED)
         sys.exit(128 + number)
 
     # One that is ignored stays so: that is what nohup does.

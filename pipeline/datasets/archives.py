@@ -13,7 +13,16 @@ from typing import NamedTuple
 
 from pipeline.errors import DataError
 
-DAMAGE = (tarfile.TarError, zipfile.BadZipFile, lzma.LZMAError, zlib.error, EOFError, OSError, UnicodeDecodeError)
+DAMAGE = (
+    tarfile.TarError,
+    zipfile.BadZipFile,
+    lzma.LZMAError,
+    zlib.error,
+    EOFError,
+    NotImplementedError,  # of a zip that asks for a version that there is not
+    OSError,
+    UnicodeDecodeError,
+)
 """What the readers of archives raise when bytes are missing or wrong."""
 
 _ZIP, _GZIP = (b"PK\x03\x04", b"PK\x05\x06"), b"\x1f\x8b"
@@ -68,7 +77,7 @@ def read_tree(path: Path, wanted: Wanted = lambda _: True) -> Iterator[Entry]:
     try:
         read = _read_zip if _start(path).startswith(_ZIP) else _read_tar
         yield from read(path, wanted)
-    except (*DAMAGE, NotImplementedError) as error:
+    except DAMAGE as error:
         raise DataError(f"{path} is not a complete tar or zip archive ({error}); download or copy it again") from None
 
 

@@ -83,9 +83,9 @@ def run_training(
 
 
 def _restore(trainer: Trainer, checkpoint: Checkpoint) -> tuple[int, int, Curve, list[dict[str, float]]] | None:
-    """Take over a restart state; return what has been prepared, its iteration, the curve and the losses since its end.
+    """Take over a restart state.
 
-    Those are the losses that no row of the curve has yet.
+    Return how much was prepared, the iteration, the curve, and the losses since the curve's last row.
     """
     restored = checkpoint.load()
     if restored is None:

@@ -167,3 +167,12 @@ def test_a_missing_source_is_named(tmp_path: Path) -> None:
 def test_folders_are_entries_too(tmp_path: Path) -> None:
     (tmp_path / "train" / "car").mkdir(parents=True)
     assert [entry.name for entry in read_tree(tmp_path)] == [PurePosixPath("train"), PurePosixPath("train/car")]
+
+
+def test_a_zip_of_a_version_that_there_is_not_is_one_sentence(tmp_path: Path) -> None:
+    path = write_zip(tmp_path / "a.zip", {"train/car/1.jpg": b""})
+    content = bytearray(path.read_bytes())
+    content[content.index(b"PK\x01\x02") + 6] = 200
+    path.write_bytes(content)
+    with pytest.raises(DataError, match=r"a\.zip is not a complete tar or zip archive \(zip file version 20\.0\)"):
+        list(read_tree(path))
