@@ -37,6 +37,8 @@ Frames = Annotated[int, Range(1, 120)]
 """Of an animation of 2.4 seconds: viewers of GIFs show none for less than a fiftieth of a second."""
 Fraction = Annotated[float, Range(0, 1)]
 """A fraction of a whole, such as of all iterations."""
+Rim = Annotated[float, Range(0, 0.5)]
+"""A share of points that lie outermost to one side."""
 Momentum = Annotated[float, Range(0, 1, open_high=True)]
 """How much of a running mean a step keeps, such as Adam's betas."""
 Slant = Annotated[float, Range(0, 180)]

@@ -48,6 +48,7 @@ MODEL = FullModelConfig(
     hidden_size=16,
     pose_heads=2,
     pose_range=PoseRange((0.0, 30.0), (-10.0, 10.0), (-0.2, 0.2), (0.7, 1.0)),
+    box_rim=0.05,
     texture_size=16,
     texture_channels=4,
     mirror_texture=True,

@@ -94,14 +94,18 @@ def place_in_picture(
     center: Float[Tensor, "B 2"],
     extent: Float[Tensor, " B"],
     camera: CameraConfig,
+    rim: float = 0.0,
 ) -> Pose:
     """Choose the pose's centre and scale so that the object's box in the picture has a given middle and longer side.
 
-    The middle is in ndc, the extent relative to the picture's side. Gradients flow to everything.
+    The middle is in ndc, the extent relative to the picture's side. Each side of the box is the mean of the outermost
+    vertices there, this share of all, at 0 a single one. Gradients flow to everything.
     """
     plain = Pose(azimuth, elevation, roll, torch.zeros_like(center), torch.ones_like(extent))
     xy_ndc = project(vertices, plain, camera)[..., :2]
-    lower, upper = xy_ndc.amin(dim=1), xy_ndc.amax(dim=1)
+    outermost = max(1, round(rim * vertices.shape[1]))
+    lower = xy_ndc.topk(outermost, dim=1, largest=False).values.mean(dim=1)
+    upper = xy_ndc.topk(outermost, dim=1).values.mean(dim=1)
     scale = 2 * extent / (upper - lower).amax(dim=1)
     return plain._replace(center=center - scale[:, None] * (lower + upper) / 2, scale=scale)
 

@@ -16,7 +16,7 @@ from pipeline.networks.generators import ImageBackgroundGenerator, StripesGenera
 from pipeline.networks.pose_coordinates import Framing, PoseCoordinates, PoseRange
 from pipeline.networks.pose_decoder import PoseDecoder, PoseRegression
 from pipeline.networks.shapes import BaseLearningConfig, FreeFormShapes, OffsetShapes, ShapeDecoder
-from pipeline.ranges import Count, NonNegative, Positive
+from pipeline.ranges import Count, NonNegative, Positive, Rim
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 from pipeline.tensor_files import load_tensors, load_weights
 
@@ -57,6 +57,9 @@ class FullModelConfig:
     pose_heads: Count
     """Members of the pose ensemble, the student not counted."""
     pose_range: PoseRange
+    box_rim: Rim
+    """Share of vertices whose mean is a side of an object's box in the picture, at framing `free`; at 0 the outermost
+    one alone is. Tips grow on boxes that single vertices stretch (docs/decisions/full-training.md)."""
     texture_size: Count
     texture_channels: Count
     mirror_texture: bool
@@ -101,7 +104,7 @@ class FullModel(nn.Module):
             if config.two_stage
             else OffsetShapes(base.vertices[0], shape.offset_reach, shape.mirror)
         )
-        self.poses = PoseCoordinates(config.pose_range, config.renderer.camera, config.framing == "box")
+        self.poses = PoseCoordinates(config.pose_range, config.renderer.camera, config.box_rim, config.framing == "box")
         self.shape_encoder = (
             FeatureEncoder(channels, code)
             if config.shapes_from == "features"

@@ -53,10 +53,14 @@ class PoseCoordinates(nn.Module):
     middle: Tensor
     reach: Tensor
 
-    def __init__(self, pose_range: PoseRange, camera: CameraConfig, fills_picture: bool) -> None:
-        """Take the ranges; with `fills_picture` the box is the picture, whatever the last three coordinates say."""
+    def __init__(self, pose_range: PoseRange, camera: CameraConfig, rim: float, fills_picture: bool) -> None:
+        """Take the ranges and the share of vertices that make up each side of a box.
+
+        With `fills_picture` the object's outermost vertices reach the picture's sides, whatever the last three
+        coordinates say: photographs are cut that way.
+        """
         super().__init__()
-        self.camera, self.fills_picture = camera, fills_picture
+        self.camera, self.rim, self.fills_picture = camera, rim, fills_picture
         bounds = torch.tensor(
             [
                 [math.radians(bound) for bound in pose_range.elevation],
@@ -73,9 +77,8 @@ class PoseCoordinates(nn.Module):
         """Return the poses that put the shapes where the coordinates say. Gradients flow to both."""
         elevation = self.middle[0] + self.reach[0] * coordinates[:, 2]
         azimuth = torch.atan2(coordinates[:, 1], coordinates[:, 0])
-        return place_in_picture(
-            vertices, azimuth, elevation, self.roll(coordinates), *self.box(coordinates), self.camera
-        )
+        roll, rim = self.roll(coordinates), 0.0 if self.fills_picture else self.rim
+        return place_in_picture(vertices, azimuth, elevation, roll, *self.box(coordinates), self.camera, rim)
 
     def roll(self, coordinates: Float[Tensor, "B 7"]) -> Float[Tensor, " B"]:
         """Return the rolls in radians."""

@@ -26,29 +26,57 @@ def boxes(poses: PoseCoordinates, coordinates: Tensor) -> tuple[Tensor, Tensor]:
 
 def test_middle_of_the_ranges() -> None:
     vertices = base_mesh().vertices
-    pose = PoseCoordinates(RANGE, CAMERA, fills_picture=False)(torch.tensor([[0.0, 2.0, 0, 0, 0, 0, 0]]), vertices)
+    poses = PoseCoordinates(RANGE, CAMERA, rim=0.0, fills_picture=False)
+    pose = poses(torch.tensor([[0.0, 2.0, 0, 0, 0, 0, 0]]), vertices)
     assert pose.azimuth.item() == torch.tensor(math.pi / 2)
     torch.testing.assert_close(pose.elevation, torch.tensor([math.radians(20)]))
     assert pose.roll.item() == 0
 
 
 def test_box_is_where_the_coordinates_say_from_every_side() -> None:
-    poses = PoseCoordinates(RANGE, CAMERA, fills_picture=False)
+    poses = PoseCoordinates(RANGE, CAMERA, rim=0.0, fills_picture=False)
     coordinates = poses.draw(50, generator(0))
     lower, upper = boxes(poses, coordinates)
     torch.testing.assert_close((lower + upper) / 2, 0.4 * coordinates[:, 4:6], atol=1e-5, rtol=0)
     torch.testing.assert_close((upper - lower).amax(dim=1), 2 * 2 ** coordinates[:, 6], atol=1e-5, rtol=1e-5)
 
 
+@pytest.mark.parametrize("rim", [0.0, 0.1, 0.5])
+def test_sides_of_the_box_are_means_of_the_outermost_vertices(rim: float) -> None:
+    poses = PoseCoordinates(RANGE, CAMERA, rim, fills_picture=False)
+    coordinates, vertices = poses.draw(20, generator(0)), torch.rand(20, 30, 3, generator=generator(1)) - 0.5
+    ranks = project(vertices, poses(coordinates, vertices), CAMERA)[..., :2].sort(dim=1).values
+    count = max(1, int(rim * 30))
+    lower, upper = ranks[:, :count].mean(dim=1), ranks[:, -count:].mean(dim=1)
+    torch.testing.assert_close((lower + upper) / 2, 0.4 * coordinates[:, 4:6], atol=1e-5, rtol=0)
+    torch.testing.assert_close((upper - lower).amax(dim=1), 2 * 2 ** coordinates[:, 6], atol=1e-5, rtol=1e-5)
+
+
+def test_a_tip_hardly_moves_the_other_vertices() -> None:
+    vertices = base_mesh().vertices
+    tip = vertices[0, :, 2].argmax()
+    longer = vertices.clone()
+    longer[0, tip, 2] += 0.1
+    from_the_side = torch.tensor([[0.0, 1.0, 0, 0, 0, 0, 0]])
+
+    def moved(rim: float) -> float:
+        poses = PoseCoordinates(RANGE, CAMERA, rim, fills_picture=False)
+        before, after = (project(body, poses(from_the_side, body), CAMERA)[0, :, :2] for body in (vertices, longer))
+        change = (after - before).norm(dim=1)
+        return torch.cat([change[:tip], change[tip + 1 :]]).max().item()
+
+    assert moved(0.1) < 0.2 * moved(0.0)
+
+
 def test_object_fills_the_picture_of_box_framing() -> None:
-    poses = PoseCoordinates(RANGE, CAMERA, fills_picture=True)
+    poses = PoseCoordinates(RANGE, CAMERA, rim=0.1, fills_picture=True)
     lower, upper = boxes(poses, poses.draw(50, generator(0)))
     torch.testing.assert_close(torch.maximum(-lower, upper).amax(dim=1), torch.ones(50), atol=1e-5, rtol=0)
     torch.testing.assert_close(lower + upper, torch.zeros(50, 2), atol=1e-5, rtol=0)
 
 
 def test_drawn_coordinates_cover_their_ranges_and_stay_inside() -> None:
-    poses = PoseCoordinates(RANGE, CAMERA, fills_picture=False)
+    poses = PoseCoordinates(RANGE, CAMERA, rim=0.0, fills_picture=False)
     coordinates = poses.draw(2000, generator(0))
     torch.testing.assert_close(poses.clamp(coordinates), coordinates)
     assert (coordinates.amin(dim=0) < -0.98).all()
@@ -56,13 +84,13 @@ def test_drawn_coordinates_cover_their_ranges_and_stay_inside() -> None:
 
 
 def test_clamp_moves_to_the_nearest_coordinates() -> None:
-    poses = PoseCoordinates(RANGE, CAMERA, fills_picture=False)
+    poses = PoseCoordinates(RANGE, CAMERA, rim=0.0, fills_picture=False)
     clamped = poses.clamp(torch.tensor([[3.0, 4.0, 2.0, -2.0, 0.5, 0.0, -1.0]]))
     torch.testing.assert_close(clamped, torch.tensor([[0.6, 0.8, 1.0, -1.0, 0.5, 0.0, -1.0]]))
 
 
 def test_mirror_of_a_mirror_symmetric_body_is_its_mirrored_picture() -> None:
-    poses = PoseCoordinates(PoseRange((-10.0, 50.0), (-20.0, 20.0), (-0.4, 0.4), (0.5, 2.0)), CAMERA, False)
+    poses = PoseCoordinates(PoseRange((-10.0, 50.0), (-20.0, 20.0), (-0.4, 0.4), (0.5, 2.0)), CAMERA, 0.0, False)
     coordinates = poses.draw(20, generator(0))
     vertices = base_mesh().vertices.expand(20, -1, -1)
     xyz = project(vertices, poses(coordinates, vertices), CAMERA)
@@ -71,7 +99,7 @@ def test_mirror_of_a_mirror_symmetric_body_is_its_mirrored_picture() -> None:
 
 
 def test_a_range_may_be_one_value_but_not_reversed() -> None:
-    poses = PoseCoordinates(replace(RANGE, roll=(0.0, 0.0), extent=(1.0, 1.0)), CAMERA, False)
+    poses = PoseCoordinates(replace(RANGE, roll=(0.0, 0.0), extent=(1.0, 1.0)), CAMERA, 0.0, False)
     drawn = poses.draw(4, generator(0))
     torch.testing.assert_close(poses.mirror(poses.mirror(drawn)), drawn)
     again = poses.clamp(2 * drawn + 1)
@@ -84,7 +112,7 @@ def test_a_range_may_be_one_value_but_not_reversed() -> None:
 
 
 def test_gradients_flow_to_coordinates_and_vertices() -> None:
-    poses = PoseCoordinates(RANGE, CAMERA, fills_picture=False).double()
+    poses = PoseCoordinates(RANGE, CAMERA, rim=0.0, fills_picture=False).double()
     vertices = base_mesh().vertices.double()
     coordinates = poses.draw(1, generator(0)).double()
 

@@ -10,7 +10,7 @@ from pipeline.seeding import generator
 from tests.tiny_full_model import exact_regression
 from tests.unit.test_pose_coordinates import CAMERA, RANGE
 
-POSES = PoseCoordinates(RANGE, CAMERA, fills_picture=False)
+POSES = PoseCoordinates(RANGE, CAMERA, rim=0.0, fills_picture=False)
 
 
 def test_axis_and_end_are_joined_into_the_coordinates() -> None:
