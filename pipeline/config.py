@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import yaml
 
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, DataError
 from pipeline.ranges import Range
 
 Config = TypeVar("Config")
@@ -70,8 +70,15 @@ def load(path: Path, config_class: type[Config], sections: Sequence[str]) -> Con
 
 
 def from_json(text: str, config_class: type[Config], path: Path) -> Config:
-    """Build a frozen dataclass from the JSON text beside the tensors of a file; errors as in `load`."""
-    return _build(config_class, _mark(json.loads(text), config_class.__name__), config_class.__name__, path)
+    """Build a frozen dataclass from the JSON text beside the tensors of a file.
+
+    Raises DataError where other code has written it, with other settings than today's.
+    """
+    try:
+        return _build(config_class, _mark(json.loads(text), config_class.__name__), config_class.__name__, path)
+    except ConfigError as error:
+        lack = str(error).removeprefix(f"{path}: ")
+        raise DataError(f"{path} was written by other code ({lack}); `dvc repro` trains it anew") from None
 
 
 def scalar(path: Path, key: str) -> Any:

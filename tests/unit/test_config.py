@@ -6,8 +6,8 @@ from typing import Literal
 
 import pytest
 
-from pipeline.config import load, scalar
-from pipeline.errors import ConfigError
+from pipeline.config import from_json, load, scalar
+from pipeline.errors import ConfigError, DataError
 from pipeline.ranges import Count, Momentum, Positive
 
 
@@ -156,6 +156,15 @@ def test_a_missing_section_names_the_nearest(params: Path, section: str, nearest
     with pytest.raises(ConfigError) as caught:
         load(params, Stage, [section])
     assert f"has no '{section}'; did you mean {nearest}?" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "lack"), [('{"low": 1}', "'Angle.high' is missing"), ('{"low": 1, "hgih": 2}', "hgih")]
+)
+def test_settings_in_a_file_of_other_code_say_so(text: str, lack: str) -> None:
+    """The file is older or newer than the code: nothing in params.yaml is wrong."""
+    with pytest.raises(DataError, match=rf"^models/car\.safetensors was written by other code \(.*{lack}.*dvc repro"):
+        from_json(text, Angle, Path("models/car.safetensors"))
 
 
 def test_a_value_is_no_section(params: Path) -> None:
