@@ -5,7 +5,7 @@ BIN := .venv/bin
 STAMP := .venv/.installed
 TOOLS := .venv/.tools_installed
 # Words after `make run`; what the environment calls by such names is no option.
-NAMES := ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASELINE
+NAMES := ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASE_SHAPE BASELINE
 WORDS := $(foreach name,$(.VARIABLES),$(if $(filter command,$(firstword $(origin $(name)))),$(name)))
 OPTIONS := $(foreach option,$(filter $(WORDS),$(NAMES)),$(if $($(option)),$(option)))
 STRAY := $(firstword $(filter-out $(NAMES) PYTHON -%,$(WORDS)))
@@ -25,7 +25,7 @@ repro: $(STAMP)  ## run the pipeline: by default the toybox car, from pictures t
 
 install: $(STAMP)  ## set up the environment alone
 
-run: $(if $(filter BASELINE,$(OPTIONS)),$(TOOLS),$(STAMP))  ## add a run to params.yaml and run it: ROW= SIZE=laptop|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASELINE=
+run: $(if $(filter BASELINE,$(OPTIONS)),$(TOOLS),$(STAMP))  ## add a run to params.yaml and run it: ROW= SIZE=laptop|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASE_SHAPE= BASELINE=
 	@test -n "$(filter ROW,$(OPTIONS))" || { echo "name a row: make run ROW=toybox-car, or another of those in params.yaml" >&2; exit 2; }
 	$(if $(STRAY),$(error $(STRAY) is no option of make run; expected: $(NAMES)))
 	@python -m stages.run_row $(foreach option,$(OPTIONS),--$(shell echo $(option) | tr A-Z a-z) "$$$(option)")

@@ -6,7 +6,7 @@ from pathlib import Path
 import torch
 
 from pipeline.config import load, scalar
-from pipeline.datasets.images import load_images_of_size, place_images
+from pipeline.datasets.images import load_images_to_reduce, place_images
 from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.distributed import is_first
 from pipeline.files import write_json
@@ -32,12 +32,12 @@ def main() -> None:
 
 def learn(config: BaseShapeConfig, arguments: Namespace, device: torch.device) -> None:
     """Learn every seed's shape, then write all of them with their generators."""
-    memory = resolve_memory(scalar(arguments.params, "memory"))
+    memory, size = resolve_memory(scalar(arguments.params, "memory")), config.renderer.size
     precision = resolve_precision(scalar(arguments.params, "precision"), device)
     key = restart_key(config, [arguments.images, arguments.features], arguments.seed, device, precision)
     shapes = learn_base_shape(
         config,
-        place_images([load_images_of_size(arguments.images, config.renderer.size)], device, memory),
+        place_images([load_images_to_reduce(arguments.images, size)], device, memory, size),
         memory,
         load_feature_extractor(arguments.features, device, precision),
         arguments.seed,

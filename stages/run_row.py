@@ -23,6 +23,7 @@ def main() -> None:
     parser.add_argument("--features", type=Path, help="weights of the network that compares pictures, if not on yet")
     parser.add_argument("--dataset", help="a name for photographs of your own; else the row's")
     parser.add_argument("--category", help="the category among them; else the row's")
+    parser.add_argument("--base_shape", help="another run's base shape to train around, an entry of `base_shapes`")
     parser.add_argument("--baseline", choices=BASELINES, help="measure this on the same photographs instead")
     options = Options(**vars(parser.parse_args()))
     name, stage = turn_on(PARAMS, options), "report"

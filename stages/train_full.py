@@ -45,7 +45,7 @@ def train(arguments: Namespace, device: torch.device) -> None:
         memory,
         load_feature_extractor(arguments.features, device, precision),
         load_base(config, arguments.mesh, device),
-        load_scenes(arguments.base_shape, arguments.mesh, device),
+        load_scenes(arguments.base_shape, arguments.mesh, config.model.renderer.size, device),
         arguments.seed,
         checkpoint,
     )

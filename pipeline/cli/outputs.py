@@ -15,8 +15,8 @@ from pipeline.export.report import ReportConfig
 from pipeline.export.seam import Seam
 from pipeline.export.views import on_white, render_textured
 from pipeline.files import write_json
-from pipeline.geometry.camera import Pose
-from pipeline.networks.full_model import FullModel
+from pipeline.geometry.camera import CameraConfig, Pose
+from pipeline.rendering.renderer import Mesh
 
 
 class Found(NamedTuple):
@@ -31,26 +31,31 @@ class Found(NamedTuple):
 
 
 def write_outputs(
-    target: Target, found: Found, model: FullModel, seam: Seam, report: ReportConfig, outputs: Sequence[str]
+    target: Target,
+    found: Found,
+    mesh: Mesh,
+    camera: CameraConfig,
+    seam: Seam,
+    report: ReportConfig,
+    outputs: Sequence[str],
 ) -> None:
     """Write those of the outputs that are made of what was found, each file whole or not at all.
 
-    `seam` is where the model's meshes are cut open.
+    `mesh` is what was found with its faces, `seam` is where it is cut open.
     """
     vertices, texture = found.vertices[0], found.texture
-    faces, directions = model.faces.cpu(), model.directions.cpu()
     if "mesh" in outputs:
-        mesh = seam.unwrap(vertices, texture.shape[-1])
-        write_glb(target.file(".glb"), mesh, texture)
-        write_obj(target.file(".obj"), mesh, texture)
+        unwrapped = seam.unwrap(vertices, texture.shape[-1])
+        write_glb(target.file(".glb"), unwrapped, texture)
+        write_obj(target.file(".obj"), unwrapped, texture)
     if "picture" in outputs:
         picture = found.image.clamp(0, 1)
         factor = max(1, report.view.size // picture.shape[-1])
         write_png(target.file("_reconstruction.png"), enlarge(picture, factor))
     if "turntable" in outputs or "video" in outputs:
         azimuths = [360 * frame / report.frames for frame in range(report.frames)]
-        camera = model.config.renderer.camera
-        turn = on_white(render_textured(vertices, faces, directions, texture, azimuths, camera, report.view))
+        turned = render_textured(vertices, mesh.faces, mesh.directions, texture, azimuths, camera, report.view)
+        turn = on_white(turned)
         for output, write in (("turntable", write_gif), ("video", write_mp4)):
             if output in outputs:
                 write(target.file(*FILES[output]), turn, 2400 // report.frames)

@@ -1,6 +1,5 @@
 """Photographs to textured meshes, with the model of a run."""
 
-import errno
 import hashlib
 import tempfile
 from collections.abc import Sequence
@@ -9,31 +8,30 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
-from torch.nn import functional
 from tqdm import tqdm
 
+from pipeline.cli.finishing import Picture, Reading, writing
 from pipeline.cli.gallery import write_gallery
-from pipeline.cli.outputs import Found, write_outputs
+from pipeline.cli.outputs import Found
 from pipeline.cli.photographs import RECORD, Target, Task, find_targets
 from pipeline.cli.runs import Run
+from pipeline.cli.workers import workers
 from pipeline.config import load, scalar
-from pipeline.datasets.decoding import Fit, decode, decode_up_to, reading
+from pipeline.datasets.decoding import Fit, reading
 from pipeline.datasets.prepare import PrepareConfig
 from pipeline.device import resolve_precision
 from pipeline.errors import DataError
 from pipeline.export.animation import encoder
-from pipeline.export.painting import PaintingConfig, paint
-from pipeline.export.picture import write_png
+from pipeline.export.painting import PaintingConfig
 from pipeline.export.report import ReportConfig
-from pipeline.export.seam import Seam, cut_open
 from pipeline.files import read_json, sha256, write_json
 from pipeline.geometry.camera import Pose, pose_from_tensor
 from pipeline.networks.feature_extractor import FeatureExtractor, extract, load_feature_extractor
 from pipeline.networks.full_model import FullModel, load_full_model
-from pipeline.rendering.renderer import Mesh, render
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.fine_tune import FineTuneConfig, fine_tune
 
@@ -41,10 +39,6 @@ PAGE = "index.html"
 """Shows the meshes in the folder of outputs, first those of the last call."""
 PAGED = ("mesh", "picture", "pose")
 """Outputs that a photograph needs to be on the page."""
-_OF_ONE_NAME = {errno.EACCES, errno.ENAMETOOLONG, errno.ENOENT}
-"""What a file system refuses for a photograph or a name, and may grant for others."""
-_SEEN_SIZE = 256
-"""Of what is kept of a photograph, in pixels, at most."""
 
 
 class Steps(NamedTuple):
@@ -63,25 +57,6 @@ class Settings(NamedTuple):
     paint: PaintingConfig
     fit: Fit
     report: ReportConfig
-
-
-class _Readable(NamedTuple):
-    """A photograph as it is when the networks see it."""
-
-    task: Task
-    content_hash: str
-
-    def seen(self, fit: Fit, most: int, size: int) -> Float[Tensor, "3 side side"]:
-        """Read the square that the model sees at a size once more, at its own resolution up to another.
-
-        Raises DataError where the file is another by now.
-        """
-        path = self.task.photograph
-        with reading(str(path)):
-            content = path.read_bytes()
-        if hashlib.sha256(content).hexdigest() != self.content_hash:
-            raise DataError(f"{path} was replaced while it was reconstructed; run the same command again")
-        return torch.from_numpy(decode_up_to(content, str(path), most, size, fit).copy()).permute(2, 0, 1) / 255
 
 
 class Outcome(NamedTuple):
@@ -107,49 +82,37 @@ def reconstruct(
     if "video" in outputs:
         encoder()  # not missed only after the first photograph
     model, settings = load_full_model(run.model, device), _load_settings(run)
-    config, painting, fit, _ = settings
     way = _way(run, settings, steps)
     _require_same_way(out, way)
     waiting, failures = _waiting(tasks, outputs)
     skipped, written = len(tasks) - len(waiting) - len(failures), 0
     extractor = load_feature_extractor(run.features, device, resolve_precision(scalar(run.params, "precision"), device))
-    seam = cut_open(model.faces.cpu(), model.directions.cpu())
-    find = partial(_fine_tuned, config=config) if steps.fine_tune else _inferred
-    with tqdm(total=len(waiting), desc="reconstructing", unit="photograph", disable=None) as progress:
-        for start in range(0, len(waiting), config.batch_size):
-            readable, images = _read(waiting[start : start + config.batch_size], model, fit, failures)
-            progress.update(min(config.batch_size, len(waiting) - start) - len(readable))
-            if not readable:
+    find = partial(_fine_tuned, config=settings.fine_tune) if steps.fine_tune else _inferred
+    read = Reading(model.config.renderer.size, settings.fit)
+    write = writing(model, read, outputs, settings.report, settings.paint if steps.paint else None)
+    with (
+        workers(len(waiting)) as divide,
+        tqdm(total=len(waiting), desc="reconstructing", unit="photograph", disable=None) as progress,
+    ):
+        for start in range(0, len(waiting), settings.fine_tune.batch_size):
+            readings = list(divide(read, waiting[start : start + settings.fine_tune.batch_size]))
+            pictures = [picture for picture in readings if isinstance(picture, Picture)]
+            failures.extend(sentence for sentence in readings if isinstance(sentence, str))
+            progress.update(len(readings) - len(pictures))
+            if not pictures:
                 continue
             write_json(out / RECORD, way)
-            for photograph, found in zip(readable, find(images.to(device), model, extractor), strict=True):
-                try:
-                    shown = _painted(found, photograph, model, fit, painting) if steps.paint else found
-                    _write(photograph, shown, model, seam, settings, outputs)
-                    written += 1
-                except DataError as error:
-                    failures.append(str(error))
-                except OSError as error:
-                    if error.errno not in _OF_ONE_NAME:
-                        raise
-                    failures.append(f"{photograph.task.photograph}: {error}")
+            images = torch.from_numpy(np.stack([picture.pixels for picture in pictures])).permute(0, 3, 1, 2)
+            found = find(images.contiguous().to(device), model, extractor)
+            for failure in divide(write, list(zip(pictures, found, strict=True))):
+                failures.extend([] if failure is None else [failure])
+                written += failure is None
                 progress.update()
     latest = {task.target for task in tasks}
     done = sorted(find_targets(out, PAGED), key=lambda target: target not in latest)
     if done:
         write_gallery(out / PAGE, done, model.config.renderer.camera)
     return Outcome(written, skipped, failures, out / PAGE if done else None)
-
-
-def _write(
-    photograph: _Readable, found: Found, model: FullModel, seam: Seam, settings: Settings, outputs: Sequence[str]
-) -> None:
-    task = photograph.task
-    seen = photograph.seen(settings.fit, _SEEN_SIZE, model.config.renderer.size) if "picture" in outputs else None
-    task.claim(photograph.content_hash)
-    write_outputs(task.target, found, model, seam, settings.report, outputs)
-    if seen is not None:
-        write_png(task.target.file("_photograph.png"), seen)
 
 
 def _load_settings(run: Run) -> Settings:
@@ -189,25 +152,6 @@ def _waiting(tasks: Sequence[Task], outputs: Sequence[str]) -> tuple[list[Task],
     return waiting, failures
 
 
-def _read(
-    tasks: Sequence[Task], model: FullModel, fit: Fit, failures: list[str]
-) -> tuple[list[_Readable], UInt8[Tensor, "B 3 H W"]]:
-    """Decode photographs; return those that can be read, and add a sentence to the failures for each of the others."""
-    size = model.config.renderer.size
-    readable, images = [], [torch.zeros(0, 3, size, size, dtype=torch.uint8)]
-    for task in tasks:
-        try:
-            with reading(str(task.photograph)):
-                content = task.photograph.read_bytes()
-            picture = decode(content, str(task.photograph), size, fit)
-        except DataError as error:
-            failures.append(str(error))
-        else:
-            readable.append(_Readable(task, hashlib.sha256(content).hexdigest()))
-            images.append(torch.from_numpy(picture.copy()).permute(2, 0, 1)[None])
-    return readable, torch.cat(images)
-
-
 @torch.no_grad()
 def _inferred(images: UInt8[Tensor, "B 3 H W"], model: FullModel, extractor: FeatureExtractor) -> list[Found]:
     features = [layer.float() for layer in extract(extractor, images, len(images))]
@@ -240,18 +184,6 @@ def _separate(
         Found(shape, texture, pose.at(slice(index, index + 1)), background, image)
         for index, (shape, texture, background, image) in enumerate(parts)
     ]
-
-
-def _painted(found: Found, photograph: _Readable, model: FullModel, fit: Fit, config: PaintingConfig) -> Found:
-    """Paint what is found with its photograph, and render it at the photograph's size."""
-    settings = model.config
-    seen = photograph.seen(fit, config.photograph_size, settings.renderer.size)
-    mesh = Mesh(found.vertices, model.faces.cpu(), model.directions.cpu())
-    renderer = replace(settings.renderer, size=seen.shape[-1])
-    texture = paint(mesh, found.texture, found.pose, seen, renderer.camera, settings.mirror_texture, config)
-    background = functional.interpolate(found.background, size=seen.shape[1:], mode="bilinear")
-    image = render(mesh, texture[None], found.pose, background, None, renderer).images[0]
-    return found._replace(texture=texture, background=background, image=image)
 
 
 def _require_same_way(out: Path, way: dict[str, str | bool]) -> None:

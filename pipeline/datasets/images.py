@@ -8,17 +8,20 @@ import numpy as np
 import torch
 from jaxtyping import Int, UInt8
 from torch import Tensor
+from torch.nn.functional import avg_pool2d
 
 from pipeline.errors import DataError
+
+_BATCH = 1000
 
 
 class MappedImages:
     """Pictures that stay in their files, as one collection: those asked for are read and brought to the device."""
 
-    def __init__(self, parts: Sequence[UInt8[Tensor, "_ 3 H W"]], device: torch.device) -> None:
-        """Join what `load_images` returned for one or more files."""
-        self.parts, self.device = parts, device
-        self.shape = torch.Size([sum(map(len, parts)), *parts[0].shape[1:]])
+    def __init__(self, parts: Sequence[UInt8[Tensor, "_ 3 _ _"]], size: int, device: torch.device) -> None:
+        """Join what `load_images` returned for one or more files, reduced to `size` pixels as they are read."""
+        self.parts, self.size, self.device = parts, size, device
+        self.shape = torch.Size([sum(map(len, parts)), 3, size, size])
         self._ends = torch.tensor(list(accumulate(map(len, parts))))
 
     def __len__(self) -> int:
@@ -31,7 +34,7 @@ class MappedImages:
         images = torch.zeros((len(index), *self.shape[1:]), dtype=torch.uint8)
         for number in owner.unique().tolist():
             part, first = self.parts[number], int(self._ends[number]) - len(self.parts[number])
-            images[owner == number] = part[index[owner == number] - first]
+            images[owner == number] = _reduce(part[index[owner == number] - first], self.size)
         return images.to(self.device)
 
     def split(self, size: int) -> Iterator[UInt8[Tensor, "B 3 H W"]]:
@@ -68,13 +71,32 @@ def load_images_of_size(path: Path, size: int) -> UInt8[Tensor, "N 3 size size"]
     return images
 
 
+def load_images_to_reduce(path: Path, size: int) -> UInt8[Tensor, "N 3 H W"]:
+    """Load pictures that `place_images` can reduce to `size` pixels. Raises DataError where it cannot."""
+    images = load_images(path)
+    return images if images.shape[-1] % size == 0 else load_images_of_size(path, size)
+
+
 def placed_bytes(images: Images) -> int:
     """Return how much of the device's memory pictures take: none where they are on disk."""
     return images.nbytes if isinstance(images, Tensor) else 0
 
 
-def place_images(parts: Sequence[UInt8[Tensor, "_ 3 H W"]], device: torch.device, memory: int) -> Images:
-    """Join pictures on the device where they take at most `memory` bytes; leave them on disk where they take more."""
-    if sum(part.nbytes for part in parts) > memory:
-        return MappedImages(parts, device)
-    return torch.cat(list(parts)).contiguous().to(device)
+def place_images(
+    parts: Sequence[UInt8[Tensor, "_ 3 _ _"]], device: torch.device, memory: int, size: int | None = None
+) -> Images:
+    """Join pictures on the device where they take at most `memory` bytes; leave them on disk where they take more.
+
+    `size` is that to which they are reduced, in pixels, for base shapes learn from smaller pictures than textures do.
+    """
+    mapped = MappedImages(parts, parts[0].shape[-1] if size is None else size, device)
+    if len(mapped) * 3 * mapped.size**2 > memory:
+        return mapped
+    reduced = [_reduce(batch, mapped.size) for part in parts for batch in part.split(_BATCH)]
+    return torch.cat(reduced).contiguous().to(device)
+
+
+def _reduce(images: UInt8[Tensor, "N 3 _ _"], size: int) -> UInt8[Tensor, "N 3 {size} {size}"]:
+    """Average pictures over squares of pixels."""
+    factor = images.shape[-1] // size
+    return images if factor == 1 else avg_pool2d(images.float(), factor).round().byte()

@@ -147,9 +147,10 @@ def scene_texts(generator: SceneGenerator) -> dict[str, str]:
     return {"scene": json.dumps(asdict(generator.config), sort_keys=True)}
 
 
-def load_scenes(path: Path, mesh: Path, device: torch.device) -> LearnedScenes:
+def load_scenes(path: Path, mesh: Path, image_size: int, device: torch.device) -> LearnedScenes:
     """Load what `learn_base_shape` wrote, first the seed whose base shape `remesh` made the mesh of.
 
+    Backgrounds are scaled to `image_size` pixels, for base shapes may have been learned from pictures of another size.
     Raises DataError where it was written by other code.
     """
     tensors, texts = load_tensors(path)
@@ -157,6 +158,9 @@ def load_scenes(path: Path, mesh: Path, device: torch.device) -> LearnedScenes:
     chosen = load_seed(mesh)
     order = sorted(range(len(tensors["seed_scores"])), key=lambda seed: seed != chosen)
     generators = [_build(config, tensors, seed, path).to(device).eval() for seed in order]
+    if config.image_size != image_size:
+        for generator in generators:
+            generator.background = nn.Sequential(generator.background, nn.Upsample(image_size, mode="bilinear"))
     return LearnedScenes(generators, tensors["faces"].to(device), tensors["directions"].to(device))
 
 

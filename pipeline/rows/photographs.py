@@ -11,16 +11,16 @@ from pipeline.datasets import cifar10
 from pipeline.datasets.survey import Contents, survey
 from pipeline.datasets.toybox import toybox
 from pipeline.errors import ConfigError
+from pipeline.networks.pose_coordinates import Framing
 from pipeline.rows.params_file import put
-from pipeline.training.base_shape import BaseShapeConfig
 
 LEARNED = ("runs", "base_shapes", "hologan", "colmap")
 """Sections whose entries are learned from a category of a data set."""
 CIFAR10_SIZE = 32
 
 
-def turn_on_dataset(document: CommentedMap, name: str, contents: Contents | None, config: BaseShapeConfig) -> None:
-    """Add a data set, or take other photographs for it; as large, and cut as, base shapes of the config need them.
+def turn_on_dataset(document: CommentedMap, name: str, contents: Contents | None, size: int, framing: Framing) -> None:
+    """Add a data set, or take other photographs for it; of `size` pixels, and cut as renderings are framed.
 
     Raises ConfigError for a new one without contents, for one whose photographs are gone, for photographs that lack a
     category which is learned from it, and for one whose pictures have another size or cut.
@@ -38,12 +38,11 @@ def turn_on_dataset(document: CommentedMap, name: str, contents: Contents | None
         raise ConfigError(f"photographs of '{name}' are no longer at {entry['source']}; name them again with SOURCE=")
     if contents is not None and not is_new and entry != datasets[name]:
         _require_what_is_learned(document, name, entry, contents)
-    kind, size = entry["kind"], config.renderer.size
-    settings = _settings(document, entry)
-    wanted = {"size": size} | ({"fit": "pad"} if config.framing == "box" else {})
+    kind, settings = entry["kind"], _settings(document, entry)
+    wanted = {"size": size} | ({"fit": "pad"} if framing == "box" else {})
     if own := {key: value for key, value in wanted.items() if is_new and settings.get(key, value) != value}:
         entry[kind] = own
-    if "fit" in settings and config.framing == "box" and (settings | own)["fit"] != "pad":
+    if "fit" in settings and framing == "box" and (settings | own)["fit"] != "pad":
         raise ConfigError(
             f"pictures of '{name}' are cut to a square, but this row wants them whole (fit: pad); name a second "
             "dataset with DATASET= and SOURCE="

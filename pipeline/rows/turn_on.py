@@ -1,7 +1,8 @@
 """Turn rows of the paper on in params.yaml."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ from pipeline.datasets.prepared import is_plain
 from pipeline.datasets.survey import survey
 from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
+from pipeline.networks.pose_coordinates import Framing
 from pipeline.networks.seed_choice import BY_SCORE
 from pipeline.rows.entries import require_whole_entries
 from pipeline.rows.params_file import put, round_trip_yaml
@@ -35,6 +37,7 @@ class Options(NamedTuple):
         features: weights of the network that compares pictures; None for those of its size.
         dataset: a name for the photographs; None for the row's.
         category: the one among them; None for the row's.
+        base_shape: an entry of `base_shapes` to train around; None for one that is learned from the same photographs.
         baseline: what is measured on the same photographs instead.
     """
 
@@ -46,20 +49,21 @@ class Options(NamedTuple):
     features: Path | None = None
     dataset: str | None = None
     category: str | None = None
+    base_shape: str | None = None
     baseline: str | None = None
 
 
 def turn_on(path: Path, options: Options) -> str:
     """Add the run that the options describe to the file, keeping its comments, and return the run's name.
 
-    The name leaves out what is usual: laptop size, no ablation, seed 0, the row's own photographs. A run whose ablation
-    leaves base shapes as they are shares the base shape of the run without ablation.
+    The name leaves out what is usual: laptop size, no ablation, seed 0, the row's own photographs, a base shape of its
+    own. A run whose ablation leaves base shapes as they are shares the base shape of the run without ablation.
 
-    Raises ConfigError for a row, size or ablation that does not exist, for a negative seed, for an ablation that would
-    shorten the size's training, for a size at which the baseline cannot draw, for names that are not plain, for a
-    dataset whose source is not known or gone, that lacks this category or another that is learned from it, or whose
-    pictures have another size, for features whose weights are not known, and for a run, a base shape or features of
-    that name that are on with other settings.
+    Raises ConfigError for a row, size, ablation or base shape that does not exist, for a base shape that an ablation
+    would change, for a negative seed, for an ablation that trains less than the size, for a size at which the
+    baseline cannot draw, for names that are not plain, for a dataset whose source is not known or gone, that lacks this
+    category or another that is learned from it, or whose pictures have another size, for features whose weights are not
+    known, and for a run, a base shape or features of that name that are on with other settings.
     """
     require_whole_entries(path)
     for name in entries(path, "datasets"):
@@ -70,16 +74,17 @@ def turn_on(path: Path, options: Options) -> str:
     document = yaml.load(text)
     for section in SWITCHES:
         document[section] = document[section] or CommentedMap()  # after the only entry was removed
-    for kind, name in (("rows", options.row), ("sizes", options.size), ("ablations", options.ablation)):
+    for kind, name in _sections(options):
         require_known(name, document[kind], f"{path}: {kind} has no")
     if options.seed < 0:
         raise ConfigError(f"SEED is {options.seed}; expected 0 or a greater number")
-    _require_no_shorter(document, options)
+    _require_no_less(document, options)
+    _require_base_shape(path, document, options)
     sections = ("learn_base_shape", f"rows.{options.row}.learn_base_shape", f"sizes.{options.size}.learn_base_shape")
-    config = load(path, BaseShapeConfig, sections)
+    framing, size = load(path, BaseShapeConfig, sections).framing, _picture_size(document, options)
     if options.baseline == "hologan":
-        _require_that_hologan_draws(document, options.size, config.renderer.size)
-    dataset, category = _turn_on_photographs(document, options, config)
+        _require_that_hologan_draws(document, options.size, size)
+    dataset, category = _turn_on_photographs(document, options, size, framing)
     _turn_on_features(document, dataset, options)
     name = _turn_on_run(document, dataset, category, options)
     if path.read_text(encoding="utf-8") != text:  # an archive takes minutes to look through
@@ -100,7 +105,11 @@ def turn_on_baseline(path: Path, baseline: str, run: str) -> None:
         yaml.dump(document, temporary)
 
 
-def _turn_on_photographs(document: CommentedMap, options: Options, config: BaseShapeConfig) -> tuple[str, str]:
+def _sections(options: Options) -> Sequence[tuple[str, str]]:
+    return (("rows", options.row), ("sizes", options.size), ("ablations", options.ablation))
+
+
+def _turn_on_photographs(document: CommentedMap, options: Options, size: int, framing: Framing) -> tuple[str, str]:
     """Add the photographs where they are not on, and return the names of data set and category."""
     row = document["rows"][options.row]
     dataset, category = options.dataset or row["dataset"], options.category or row["category"]
@@ -109,7 +118,7 @@ def _turn_on_photographs(document: CommentedMap, options: Options, config: BaseS
     if dataset == EMBEDDED and options.source is not None:
         raise ConfigError(f"'{EMBEDDED}' is the embedded data set and has no SOURCE=; name yours with DATASET=")
     contents = None if options.source is None else survey(_existing("SOURCE", options.source))
-    turn_on_dataset(document, dataset, contents, config)
+    turn_on_dataset(document, dataset, contents, size, framing)
     require_category(document, dataset, category, contents)
     return dataset, category
 
@@ -139,17 +148,27 @@ def _turn_on_run(document: CommentedMap, dataset: str, category: str, options: O
         subject = f"{subject}-as-{options.row}"  # the other row's results have that name
     entry = {"row": options.row, "size": options.size, "ablation": options.ablation, "seed": options.seed}
     entry |= {"dataset": dataset, "category": category, "features": _features_name(dataset, options)}
-    name = _name(subject, entry)
-    changes_base_shape = bool(document["ablations"][options.ablation]["learn_base_shape"])
-    base_shape = entry | {"ablation": options.ablation if changes_base_shape else "none"}
-    for section, its_name, its_entry, additions in (
-        ("base_shapes", _name(subject, base_shape), base_shape, {"chosen": BY_SCORE}),
-        ("runs", name, entry | {"base_shape": _name(subject, base_shape)}, {}),
-    ):
-        known = document[section].get(its_name, its_entry | additions)
-        _require_same(known, its_entry, f"{section}.{its_name}")
-        put(document[section], its_name, known)
-    return name
+    if options.base_shape is not None:
+        name = f"{_name(subject, entry)}-around-{options.base_shape}"
+        _put_same(document, "runs", name, entry | {"base_shape": options.base_shape}, {})
+        return name
+    base_shape = entry | {"ablation": options.ablation if _changes_base_shape(document, options) else "none"}
+    _put_same(document, "base_shapes", _name(subject, base_shape), base_shape, {"chosen": BY_SCORE})
+    _put_same(document, "runs", _name(subject, entry), entry | {"base_shape": _name(subject, base_shape)}, {})
+    return _name(subject, entry)
+
+
+def _put_same(
+    document: CommentedMap, section: str, name: str, entry: Mapping[str, Any], additions: Mapping[str, Any]
+) -> None:
+    """Add an entry, with additions where it is new."""
+    known = document[section].get(name, {**entry, **additions})
+    _require_same(known, entry, f"{section}.{name}")
+    put(document[section], name, known)
+
+
+def _changes_base_shape(document: CommentedMap, options: Options) -> bool:
+    return bool(document["ablations"][options.ablation]["learn_base_shape"])
 
 
 def _features_name(dataset: str, options: Options) -> str:
@@ -171,14 +190,35 @@ def _require_same(entry: Mapping[str, Any], wanted: Mapping[str, Any], key: str)
             )
 
 
-def _require_no_shorter(document: CommentedMap, options: Options) -> None:
-    """Refuse an ablation with a number of iterations that a larger size's training exceeds."""
-    usual = merge(document["train_full"], document["sizes"][options.size]["train_full"])["iterations"]
-    iterations = document["ablations"][options.ablation]["train_full"].get("iterations", usual)
-    if iterations < usual:
+def _require_no_less(document: CommentedMap, options: Options) -> None:
+    """Refuse an ablation with iterations or pictures that those of a larger size exceed."""
+    usual = merge(document["train_full"], document["sizes"][options.size]["train_full"])
+    changed = merge(usual, document["ablations"][options.ablation]["train_full"])
+    for of_size, of_ablation, what in (
+        (usual["iterations"], changed["iterations"], "iterations"),
+        (usual["model"]["renderer"]["size"], changed["model"]["renderer"]["size"], "pixels a side"),
+    ):
+        if of_ablation < of_size:
+            raise ConfigError(
+                f"ablation '{options.ablation}' trains for {of_ablation} {what}, fewer than the {of_size} of size "
+                f"'{options.size}'; leave one of the two out"
+            )
+
+
+def _picture_size(document: CommentedMap, options: Options) -> int:
+    """Return how large the pictures are that full training compares; base shapes are learned from reduced ones."""
+    parts = (document[kind][name] for kind, name in _sections(options))
+    return reduce(merge, (part["train_full"] for part in parts), document["train_full"])["model"]["renderer"]["size"]
+
+
+def _require_base_shape(path: Path, document: CommentedMap, options: Options) -> None:
+    """Refuse a base shape that no run has turned on, and one beside an ablation that learns another."""
+    if options.base_shape is None:
+        return
+    require_known(options.base_shape, document["base_shapes"], f"{path}: base_shapes has no")
+    if _changes_base_shape(document, options):
         raise ConfigError(
-            f"ablation '{options.ablation}' trains for {iterations} iterations, fewer than the {usual} of size "
-            f"'{options.size}'; leave one of the two out"
+            f"ablation '{options.ablation}' learns a base shape of its own; leave ABLATION= or BASE_SHAPE= out"
         )
 
 

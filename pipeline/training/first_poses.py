@@ -78,16 +78,7 @@ def first_poses(
     poses = _rendered_poses(model, config, rng)
     kernel = _kernel(poses, config.concentration)
     rendered = [_cut_renderings(model, scenes, one, poses, config, light, rng) for one in scenes.generators]
-
-    described = _describe(cuts, extractor)
-
-    parts = [part for images in rendered for part in images.chunk(world().size)]
-
-    def distances(index: int) -> Float[Tensor, "N K"]:
-        return _distances(described, _describe(parts[index], extractor)).cpu()
-
-    joined = torch.cat([part.to(cuts.device) for part in divide(distances, len(parts))], dim=1)
-    votes = [count_votes(one, config.temperature) for one in joined.chunk(len(rendered), dim=1)]
+    votes = [count_votes(one, config.temperature) for one in _compare(cuts, rendered, extractor)]
     by_azimuth = join_votes(
         torch.stack([((vote @ kernel) / kernel.sum(dim=0)).clamp_min(SMALLEST).log() for vote in votes])
     )
@@ -158,6 +149,20 @@ def _cut_renderings(
     error = config.box_jitter * torch.randn(len(poses), 3, generator=rng, device=rng.device)
     boxes = torch.cat([poses[:, :4], poses[:, 4:] + error], 1)
     return cut_to_box(torch.cat(batches), model.poses, boxes, config.box_size, torch.zeros_like(boxes[:, 0]))
+
+
+def _compare(
+    cuts: Float[Tensor, "N 3 H W"], rendered: list[Float[Tensor, "K 3 H W"]], extractor: FeatureExtractor
+) -> tuple[Float[Tensor, "N K"], ...]:
+    """Return the distances of photographs from each generator's renderings; processes divide the renderings."""
+    described = _describe(cuts, extractor)
+    parts = [part for images in rendered for part in images.chunk(world().size)]
+
+    def distances(index: int) -> Float[Tensor, "N K"]:
+        return _distances(described, _describe(parts[index], extractor)).cpu()
+
+    joined = torch.cat([part.to(cuts.device) for part in divide(distances, len(parts))], dim=1)
+    return joined.chunk(len(rendered), dim=1)
 
 
 def _describe(images: Float[Tensor, "N 3 H W"], extractor: FeatureExtractor) -> list[Features]:

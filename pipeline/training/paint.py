@@ -11,6 +11,7 @@ from pipeline.distributed import divide
 from pipeline.networks.feature_extractor import FeatureExtractor
 
 _MAP_SIZE = 8
+_BATCH = 250
 _PROJECTION_ROUNDS = 4
 _LEAST_DEVIATION = 1e-4
 """Of colours in [0, 1], below which photographs are painted alike."""
@@ -40,16 +41,19 @@ def paintless_features(
     rng: torch.Generator,
 ) -> Float[Tensor, "2 N components"]:
     """Return features of photographs and of their mirror images, whitened by how much repainting changes them."""
-    features = torch.stack(_flat_features([images, images.flip(-1)], extractor))
+    features = _flat_features([images, images.flip(-1)], extractor)
     components = min(components, len(images) // 2)
-    features -= features.mean(dim=(0, 1))
-    basis = _principal_directions(features.flatten(0, 1), components, rng)
-    first, second = _flat_features([repaint(images, rng), repaint(images, rng)], extractor)
-    change = (first - second) @ basis
+    mean = torch.stack([one.mean(dim=0) for one in features]).mean(dim=0)
+    for one in features:
+        one -= mean
+    basis = _principal_directions(features, components, rng)
+    first, second = _flat_features([repaint(images, rng), repaint(images, rng)], extractor, basis)
+    change = first - second
     covariance = change.T @ change / (2 * len(change))
     floor = repainting_floor * covariance.trace() / components
     values, vectors = torch.linalg.eigh(covariance + floor * torch.eye(components, device=images.device))
-    return features @ (basis @ (vectors * values.rsqrt()))
+    whitened = basis @ (vectors * values.rsqrt())
+    return torch.stack([one @ whitened for one in features])
 
 
 def repaint(images: Float[Tensor, "N 3 H W"], rng: torch.Generator) -> Float[Tensor, "N 3 H W"]:
@@ -68,29 +72,41 @@ def repaint(images: Float[Tensor, "N 3 H W"], rng: torch.Generator) -> Float[Ten
     return torch.einsum("nij,njhw->nihw", mixing, images).clamp(0, 1)
 
 
-def _flat_features(pictures: list[Float[Tensor, "N 3 H W"]], extractor: FeatureExtractor) -> list[Float[Tensor, "N D"]]:
+def _flat_features(
+    pictures: list[Float[Tensor, "N 3 H W"]], extractor: FeatureExtractor, basis: Float[Tensor, "D K"] | None = None
+) -> list[Float[Tensor, "N K"]]:
     """Return directions of all feature maps but the first, averaged over a grid: colours and edges are paint.
 
+    Where a basis is given they are its coordinates: all of their numbers are gigabytes for thousands of pictures.
     Processes divide the sets of pictures.
     """
 
-    def describe(index: int) -> Float[Tensor, "N D"]:
-        flat = []
-        for batch in pictures[index].split(250):
-            maps = [functional.normalize(layer.float(), dim=1) for layer in extractor(batch)[2:]]
-            grids = [functional.adaptive_avg_pool2d(layer, min(_MAP_SIZE, layer.shape[-1])) for layer in maps]
-            flat.append(torch.cat([grid.flatten(1) for grid in grids], 1))
-        return torch.cat(flat).cpu()
+    def describe_batch(batch: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B K"]:
+        maps = [functional.normalize(layer.float(), dim=1) for layer in extractor(batch)[2:]]
+        grids = [functional.adaptive_avg_pool2d(layer, min(_MAP_SIZE, layer.shape[-1])) for layer in maps]
+        flat = torch.cat([grid.flatten(1) for grid in grids], 1)
+        return (flat if basis is None else flat @ basis).cpu()
+
+    def describe(index: int) -> Float[Tensor, "N K"]:
+        images = pictures[index]
+        described = torch.empty(0)
+        for start in range(0, len(images), _BATCH):
+            batch = describe_batch(images[start : start + _BATCH])
+            if start == 0:
+                described = batch.new_empty(len(images), batch.shape[1])
+            described[start : start + _BATCH] = batch
+        return described
 
     return [features.to(pictures[0].device) for features in divide(describe, len(pictures))]
 
 
 def _principal_directions(
-    centered: Float[Tensor, "N D"], count: int, rng: torch.Generator
+    centered: list[Float[Tensor, "N D"]], count: int, rng: torch.Generator
 ) -> Float[Tensor, "D components"]:
-    """Return the leading right singular vectors by subspace iteration, from the generator's random start."""
-    start = torch.randn(centered.shape[1], count, generator=rng, device=rng.device)
+    """Return the leading right singular vectors of all rows by subspace iteration, from a random start."""
+    start = torch.randn(centered[0].shape[1], count, generator=rng, device=rng.device)
     directions = torch.linalg.qr(start).Q
     for _ in range(_PROJECTION_ROUNDS):
-        directions = torch.linalg.qr(centered.T @ (centered @ directions)).Q
+        images = torch.stack([one.T @ (one @ directions) for one in centered]).sum(dim=0)
+        directions = torch.linalg.qr(images).Q
     return directions

@@ -28,8 +28,9 @@ from pipeline.cli import reconstruct as reconstruction
 from pipeline.cli.__main__ import main
 from pipeline.cli.outputs import Found
 from pipeline.cli.photographs import Target, Task, list_tasks
+from pipeline.cli.workers import workers
 from pipeline.datasets.decoding import Fit, decode
-from pipeline.errors import DataError
+from pipeline.errors import DataError, ProcessKilled
 from pipeline.networks.feature_extractor import extract, load_feature_extractor, save_feature_extractor
 from pipeline.networks.full_model import Reconstruction, full_model_texts
 from pipeline.networks.wide_resnet import WideResNet
@@ -199,6 +200,38 @@ def test_a_folder_is_reconstructed_but_for_what_cannot_be_read(
     assert (project / "out/car.glb").is_file()
     assert (project / "out/vans/van_pose.json").is_file()
     assert not list((project / "out").rglob("*.gif"))
+
+
+def share_among_two(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let two processes share what is few photographs for one."""
+    monkeypatch.setattr("pipeline.cli.workers.PHOTOGRAPHS", 1)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
+
+
+def test_processes_that_share_a_folder_write_what_one_does(
+    project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, outputs = tmp_path / "photographs", ("--outputs", "mesh,picture,pose", "--paint")
+    folder.mkdir()
+    for name in ("car", "van"):
+        shutil.move(tmp_path / f"{name}.png", folder)
+    reconstruct(project, str(folder), *outputs)
+    alone = {path.name: path.read_bytes() for path in (project / "out").iterdir() if path.name != "index.html"}
+    shutil.rmtree(project / "out")
+    (folder / "broken.jpg").write_bytes(b"not a picture")
+    share_among_two(monkeypatch)
+    here = patch("pipeline.cli.outputs.write_glb", side_effect=AssertionError("written by the process that shares"))
+    with here, pytest.raises(SystemExit, match=r"^error: \S*broken\.jpg cannot be read as a picture"):
+        reconstruct(project, str(folder), *outputs)
+    assert len(alone) == 2 * 8 + 1
+    assert {name: (project / "out" / name).read_bytes() for name in alone} == alone
+
+
+def test_a_killed_worker_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    share_among_two(monkeypatch)
+    with pytest.raises(ProcessKilled, match="was killed, perhaps for want of memory; run the same command again"):  # noqa: SIM117
+        with workers(2) as divide:
+            list(divide(os._exit, [1]))
 
 
 def test_a_photograph_that_cannot_be_opened_stops_no_other(

@@ -131,8 +131,14 @@ def test_generators_survive_their_file_and_the_chosen_ones_come_first(tmp_path: 
     tensors = {"seed_scores": torch.tensor([0.5, 0.1, 0.4]), "faces": faces, "directions": directions}
     save_tensors(tmp_path / "scene.safetensors", {**tensors, **scene_tensors(models)}, scene_texts(models[0]))
     save_tensors(tmp_path / "mesh.safetensors", {}, {"seed": "2"})
-    loaded = load_scenes(tmp_path / "scene.safetensors", tmp_path / "mesh.safetensors", torch.device("cpu"))
+    files, device = (tmp_path / "scene.safetensors", tmp_path / "mesh.safetensors"), torch.device("cpu")
+    loaded = load_scenes(*files, 8, device)
     assert torch.equal(loaded.faces, faces)
     assert torch.equal(loaded.directions, directions)
     for ours, theirs in zip(loaded.generators, [models[2], models[0], models[1]], strict=True):
         assert all(torch.equal(a, b) for a, b in zip(scene(ours), scene(theirs), strict=True))
+    larger, usual = scene(load_scenes(*files, 16, device).generators[0]), scene(models[2])
+    assert torch.equal(larger.vertices, usual.vertices)
+    assert larger.backgrounds.shape == (6, 3, 16, 16)
+    upper, lower = usual.backgrounds[:, :, :-1], usual.backgrounds[:, :, 1:]
+    torch.testing.assert_close(larger.backgrounds[:, :, 1:-1:2, ::2], 0.75 * upper + 0.25 * lower)

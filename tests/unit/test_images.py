@@ -40,6 +40,14 @@ def test_rows_of_mapped_pictures_are_those_of_a_tensor(parts: list[torch.Tensor]
     assert [batch.tolist() for batch in mapped.split(3)] == [batch.tolist() for batch in resident.split(3)]
 
 
+def test_pictures_are_reduced_in_memory_and_on_disk_alike(parts: list[torch.Tensor]) -> None:
+    resident, mapped = place_images(parts, CPU, 8 * PICTURE // 4, 2), place_images(parts, CPU, 1, 2)
+    assert isinstance(resident, torch.Tensor)
+    assert torch.equal(mapped[:], resident)
+    corners = torch.cat([part[:, :, :2, :2] for part in parts]).float()
+    assert (resident[:, :, 0, 0] - corners.mean(dim=(2, 3))).abs().max() <= 0.5
+
+
 def test_a_mapped_file_is_never_changed(tmp_path: Path, parts: list[torch.Tensor]) -> None:
     before = (tmp_path / "car.npy").read_bytes()
     parts[0].zero_()

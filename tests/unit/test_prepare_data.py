@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from pipeline.datasets.images import load_images, load_images_of_size
+from pipeline.datasets.images import load_images, load_images_of_size, load_images_to_reduce
 from pipeline.errors import DataError
 from pipeline.files import read_json
 from pipeline.rows.entries import NAMES
@@ -144,6 +144,10 @@ def test_pictures_of_another_size_than_the_renderings_are_named(tmp_path: Path) 
     sentence = r"car.npy holds pictures of 32 px, but renderer.size is 64; prepare the photographs under another name"
     with pytest.raises(DataError, match=sentence):
         load_images_of_size(tmp_path / "car.npy", 64)
+    assert load_images_to_reduce(tmp_path / "car.npy", 16).shape == (2, 3, 32, 32)
+    for size in (24, 64):
+        with pytest.raises(DataError, match=f"holds pictures of 32 px, but renderer.size is {size}"):
+            load_images_to_reduce(tmp_path / "car.npy", size)
 
 
 def assert_refused(prepare: Callable[..., Path], kind: str, source: Path, sentence: str) -> None:

@@ -112,6 +112,38 @@ def test_a_given_network_gets_pictures_of_the_size_it_needs(params: Path, tmp_pa
     assert params.read_bytes() == before
 
 
+def test_sharper_textures_want_larger_pictures(params: Path, photographs: Path) -> None:
+    sharper = Options("pascal-car", ablation="sharper", dataset="cars", category="car", source=photographs)
+    assert turn_on(params, sharper) == "cars-car-sharper"
+    document = YAML(typ="safe").load(params)
+    assert document["datasets"]["cars"]["folder"] == {"size": 64, "fit": "pad"}
+    assert document["runs"]["cars-car-sharper"]["base_shape"] == "cars-car"
+    assert document["base_shapes"]["cars-car"]["size"] == "laptop"
+    with pytest.raises(ConfigError, match="'sharper' trains for 64 pixels a side, fewer than the 128 of size"):
+        turn_on(params, sharper._replace(size="paper-imagenet", dataset="cars128"))
+
+
+def test_a_run_may_be_around_the_base_shape_of_another(params: Path, tmp_path: Path, photographs: Path) -> None:
+    weights = tmp_path / "squeezenet.npz"
+    weights.touch()
+    given = {"dataset": "cars64", "category": "car", "source": photographs, "size": "laptop-imagenet"}
+    around = Options("pascal-car", **given, features=weights, base_shape="toybox-car")
+    before = YAML(typ="safe").load(params)
+    name = turn_on(params, around)
+    assert name == "cars64-car-laptop-imagenet-around-toybox-car"
+    document = YAML(typ="safe").load(params)
+    assert document["runs"][name]["base_shape"] == "toybox-car"
+    assert document["runs"][name]["features"] == "cars64-laptop-imagenet"
+    assert document["base_shapes"] == before["base_shapes"]
+    with pytest.raises(ConfigError, match="base_shapes has no 'toybox-cat'; did you mean 'toybox-car'"):
+        turn_on(params, around._replace(base_shape="toybox-cat"))
+    with pytest.raises(
+        ConfigError, match="'no-symmetry' learns a base shape of its own; leave ABLATION= or BASE_SHAPE="
+    ):
+        turn_on(params, around._replace(ablation="no-symmetry"))
+    assert turn_on(params, around._replace(ablation="no-ends", seed=2)).endswith("no-ends-seed2-around-toybox-car")
+
+
 @pytest.mark.parametrize(("row", "own"), [("pascal-car", {"folder": {"fit": "pad"}}), ("cifar10-automobile", {})])
 def test_photographs_cut_to_boxes_stay_whole(params: Path, photographs: Path, row: str, own: dict[str, object]) -> None:
     turn_on(params, Options(row, dataset="cars", category="car", source=photographs))
