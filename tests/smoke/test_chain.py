@@ -16,6 +16,7 @@ from PIL import Image
 from pipeline.files import read_json, sha256
 from pipeline.networks.seed_choice import load_seed
 from pipeline.rows.turn_on import Options, turn_on, turn_on_baseline
+from pipeline.tensor_files import load_tensors
 from tests.smoke.tiny_project import commands, environment, make_tiny_project, read_params, run, write_params
 
 pytestmark = pytest.mark.slow
@@ -189,6 +190,19 @@ def test_a_misspelt_number_is_one_sentence_and_nothing_is_written(project: Path,
     assert finished.stderr.count("\n") == 1
     assert "unknown key 'remesh.targt'" in finished.stderr
     assert list(tmp_path.iterdir()) == [tmp_path / "params.yaml"]
+
+
+def test_sharper_training_is_around_a_base_shape_of_reduced_pictures(project: Path) -> None:
+    params = read_params(project)
+    params["datasets"]["toybox64"] = params["datasets"]["toybox"] | {"toybox": {"photograph": {"size": 64}}}
+    write_params(project, params)
+    run_name = turn_on(project / "params.yaml", Options("toybox-car", dataset="toybox64", ablation="sharper"))
+    run(project, "dvc", "repro", f"evaluate@{run_name}")
+    _, base_shape = load_tensors(project / "models/base_shape/toybox64-car.safetensors")
+    assert json.loads(base_shape["scene"])["image_size"] == 32
+    _, model = load_tensors(project / f"models/full/{run_name}.safetensors")
+    assert json.loads(model["config"])["renderer"]["size"] == 64
+    assert "acc_pi6" in str(read_json(project / f"results/metrics/{run_name}.json"))
 
 
 def test_own_photographs_take_one_command(project: Path, tmp_path: Path) -> None:
