@@ -1,4 +1,4 @@
-"""Start the processes that share a training (see `pipeline.distributed`), or join those that torchrun started."""
+"""Start processes: those that share a training (see `pipeline.distributed`), and pools that divide single calls."""
 
 import ctypes
 import multiprocessing
@@ -7,6 +7,8 @@ import platform
 import signal
 import sys
 from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from datetime import timedelta
 from multiprocessing.queues import SimpleQueue
@@ -23,6 +25,7 @@ from pipeline.errors import ConfigError, ProcessKilled, UserError, lacks_memory
 
 _END_WITH_PARENT = 1
 """PR_SET_PDEATHSIG of `prctl`."""
+_ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _GRACE = 5.0
 """Seconds that processes have to end by themselves after another one has failed."""
 _PATIENCE = timedelta(days=7)
@@ -158,13 +161,45 @@ def end_with_parent() -> None:
 
 
 @contextmanager
-def interrupts_ignored() -> Iterator[None]:
-    """Let processes that are started inside the block leave Ctrl-C to this one, from their first moment on."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def process_pool(processes: int, purpose: str) -> Iterator[ProcessPoolExecutor]:
+    """Start processes among which calls are divided, with equal parts of this one's threads.
+
+    They end with the block, and where an exception leaves it, Ctrl-C for instance, in the middle of their calls. Raises
+    ProcessKilled where one was killed; `purpose` says in its sentence what they do.
+    """
+    pool = ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), _begin)
+    try:
+        with _ignored(signal.SIGINT), divided_threads(processes):
+            for _ in range(processes):
+                pool.submit(int)  # starts one, which leaves Ctrl-C to this process from its first moment on
+        yield pool
+        pool.shutdown()
+    except BaseException as error:
+        with _ignored(*_ENDING):  # a second one would leave the pool half ended, and this process waiting for it
+            for process in multiprocessing.active_children():
+                process.terminate()
+            pool.shutdown(cancel_futures=True)
+        if isinstance(error, BrokenProcessPool):
+            raise ProcessKilled(
+                f"a process that {purpose} was killed, perhaps for want of memory; run the same command again"
+            ) from None
+        raise
+
+
+def _begin() -> None:
+    end_with_parent()
+    prepare_process()
+
+
+@contextmanager
+def _ignored(*signals: signal.Signals) -> Iterator[None]:
+    """Ignore signals inside the block, and let processes that are started there ignore them from then on."""
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in signals}
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 @contextmanager
@@ -172,7 +207,7 @@ def divided_threads(processes: int) -> Iterator[None]:
     """Let the processes started inside the block have equal parts of this one's threads."""
     threads = str(max(1, torch.get_num_threads() // processes))
     before = dict(os.environ)
-    os.environ.update(OMP_NUM_THREADS=threads, NUMBA_NUM_THREADS=threads)
+    os.environ.update(OMP_NUM_THREADS=threads, MKL_NUM_THREADS=threads, NUMBA_NUM_THREADS=threads)
     try:
         yield
     finally:

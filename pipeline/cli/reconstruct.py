@@ -2,9 +2,8 @@
 
 import hashlib
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,7 +13,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 from tqdm import tqdm
 
-from pipeline.cli.finishing import Picture, Reading, writing
+from pipeline.cli.finishing import Picture, Reading, Writing, writing
 from pipeline.cli.gallery import write_gallery
 from pipeline.cli.outputs import Found
 from pipeline.cli.photographs import RECORD, Target, Task, find_targets
@@ -85,34 +84,43 @@ def reconstruct(
     way = _way(run, settings, steps)
     _require_same_way(out, way)
     waiting, failures = _waiting(tasks, outputs)
-    skipped, written = len(tasks) - len(waiting) - len(failures), 0
+    skipped = len(tasks) - len(waiting) - len(failures)
     extractor = load_feature_extractor(run.features, device, resolve_precision(scalar(run.params, "precision"), device))
-    find = partial(_fine_tuned, config=settings.fine_tune) if steps.fine_tune else _inferred
     read = Reading(model.config.renderer.size, settings.fit)
     write = writing(model, read, outputs, settings.report, settings.paint if steps.paint else None)
-    with (
-        workers(len(waiting)) as divide,
-        tqdm(total=len(waiting), desc="reconstructing", unit="photograph", disable=None) as progress,
-    ):
-        for start in range(0, len(waiting), settings.fine_tune.batch_size):
-            readings = list(divide(read, waiting[start : start + settings.fine_tune.batch_size]))
-            pictures = [picture for picture in readings if isinstance(picture, Picture)]
-            failures.extend(sentence for sentence in readings if isinstance(sentence, str))
-            progress.update(len(readings) - len(pictures))
-            if not pictures:
-                continue
-            write_json(out / RECORD, way)
-            images = torch.from_numpy(np.stack([picture.pixels for picture in pictures])).permute(0, 3, 1, 2)
-            found = find(images.contiguous().to(device), model, extractor)
-            for failure in divide(write, list(zip(pictures, found, strict=True))):
-                failures.extend([] if failure is None else [failure])
-                written += failure is None
-                progress.update()
+
+    def find(images: UInt8[Tensor, "B 3 H W"]) -> list[Found]:
+        write_json(out / RECORD, way)
+        if steps.fine_tune:
+            return _fine_tuned(images.to(device), model, extractor, settings.fine_tune)
+        return _inferred(images.to(device), model, extractor)
+
+    results = _in_batches(waiting, settings.fine_tune.batch_size, read, find, write)
+    progress = tqdm(results, "reconstructing", len(waiting), unit="photograph", disable=None)
+    failed = [sentence for sentence in progress if sentence is not None]
     latest = {task.target for task in tasks}
     done = sorted(find_targets(out, PAGED), key=lambda target: target not in latest)
     if done:
         write_gallery(out / PAGE, done, model.config.renderer.camera)
-    return Outcome(written, skipped, failures, out / PAGE if done else None)
+    return Outcome(len(waiting) - len(failed), skipped, failures + failed, out / PAGE if done else None)
+
+
+def _in_batches(
+    tasks: Sequence[Task],
+    size: int,
+    read: Reading,
+    find: Callable[[UInt8[Tensor, "B 3 H W"]], list[Found]],
+    write: Writing,
+) -> Iterator[str | None]:
+    """Read, find and write; yield for each photograph None, or a sentence that says why it could not be done."""
+    with workers(len(tasks)) as divide:
+        for start in range(0, len(tasks), size):
+            readings = list(divide(read, tasks[start : start + size]))
+            yield from (sentence for sentence in readings if isinstance(sentence, str))
+            pictures = [picture for picture in readings if isinstance(picture, Picture)]
+            if pictures:
+                images = torch.from_numpy(np.stack([picture.pixels for picture in pictures])).permute(0, 3, 1, 2)
+                yield from divide(write, list(zip(pictures, find(images.contiguous()), strict=True)))
 
 
 def _load_settings(run: Run) -> Settings:
@@ -178,11 +186,16 @@ def _separate(
     backgrounds: Float[Tensor, "B 3 H W"],
     images: Float[Tensor, "B 3 H W"],
 ) -> list[Found]:
-    """Take a batch apart."""
-    parts = zip(vertices.split(1), textures, backgrounds.split(1), images, strict=True)
+    """Take a batch apart, into copies: pickled, a view holds all of its batch."""
     return [
-        Found(shape, texture, pose.at(slice(index, index + 1)), background, image)
-        for index, (shape, texture, background, image) in enumerate(parts)
+        Found(
+            vertices[index : index + 1].clone(),
+            textures[index].clone(),
+            Pose(*(values[index : index + 1].clone() for values in pose)),
+            backgrounds[index : index + 1].clone(),
+            images[index].clone(),
+        )
+        for index in range(len(images))
     ]
 
 

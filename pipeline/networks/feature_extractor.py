@@ -1,7 +1,7 @@
 """The frozen feature extractor in whose maps pictures are compared, whichever network it is made from."""
 
 import copy
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import torch
@@ -68,11 +68,14 @@ def load_feature_extractor(path: Path, device: torch.device, precision: torch.dt
 
 @torch.no_grad()
 def extract(
-    extractor: FeatureExtractor, images: Float[Tensor, "B 3 H W"] | UInt8[Tensor, "B 3 H W"], batch_size: int
+    extractor: Callable[[Float[Tensor, "B 3 H W"]], Sequence[Float[Tensor, "B _ _ _"]]],
+    images: Float[Tensor, "B 3 H W"] | UInt8[Tensor, "B 3 H W"],
+    batch_size: int,
 ) -> list[Float[Tensor, "B _ _ _"]]:
     """Compute the features of photographs once, to be kept: in half precision, channels last, on the images' device.
 
-    Images are RGB, in [0, 1] or 8-bit. A 32x32 picture takes 121 kB under WRN-16-2.
+    Images are RGB, in [0, 1] or 8-bit. A 32x32 picture takes 121 kB under WRN-16-2. `extractor` is a FeatureExtractor,
+    or takes what it needs from one.
     """
     kept: list[Tensor] = []
     for start in range(0, len(images), batch_size):

@@ -152,7 +152,7 @@ def _turn_on_run(document: CommentedMap, dataset: str, category: str, options: O
         name = f"{_name(subject, entry)}-around-{options.base_shape}"
         _put_same(document, "runs", name, entry | {"base_shape": options.base_shape}, {})
         return name
-    base_shape = entry | {"ablation": options.ablation if _changes_base_shape(document, options) else "none"}
+    base_shape = entry | {"ablation": _of_base_shape(document, options)}
     _put_same(document, "base_shapes", _name(subject, base_shape), base_shape, {"chosen": BY_SCORE})
     _put_same(document, "runs", _name(subject, entry), entry | {"base_shape": _name(subject, base_shape)}, {})
     return _name(subject, entry)
@@ -167,8 +167,9 @@ def _put_same(
     put(document[section], name, known)
 
 
-def _changes_base_shape(document: CommentedMap, options: Options) -> bool:
-    return bool(document["ablations"][options.ablation]["learn_base_shape"])
+def _of_base_shape(document: CommentedMap, options: Options) -> str:
+    """Return the ablation with which a run's base shape is learned."""
+    return options.ablation if document["ablations"][options.ablation]["learn_base_shape"] else "none"
 
 
 def _features_name(dataset: str, options: Options) -> str:
@@ -212,13 +213,15 @@ def _picture_size(document: CommentedMap, options: Options) -> int:
 
 
 def _require_base_shape(path: Path, document: CommentedMap, options: Options) -> None:
-    """Refuse a base shape that no run has turned on, and one beside an ablation that learns another."""
+    """Refuse a base shape that no run has turned on, and one that was learned with other constraints than the run's."""
     if options.base_shape is None:
         return
     require_known(options.base_shape, document["base_shapes"], f"{path}: base_shapes has no")
-    if _changes_base_shape(document, options):
+    theirs = document["base_shapes"][options.base_shape]["ablation"]
+    if theirs != (ours := _of_base_shape(document, options)):
         raise ConfigError(
-            f"ablation '{options.ablation}' learns a base shape of its own; leave ABLATION= or BASE_SHAPE= out"
+            f"the base shape '{options.base_shape}' was learned with ablation '{theirs}', but this run's are learned "
+            f"with '{ours}'; name another with BASE_SHAPE=, or another ABLATION="
         )
 
 
@@ -227,7 +230,8 @@ def _require_that_hologan_draws(document: CommentedMap, size: str, picture_size:
     drawn = merge(document["train_hologan"], document["sizes"][size]["train_hologan"])["network"]["image_size"]
     if drawn != picture_size:
         raise ConfigError(
-            f"HoloGAN draws {drawn} px, but pictures of size '{size}' have {picture_size} px; choose another SIZE="
+            f"HoloGAN draws {drawn} px at size '{size}', but this run's pictures have {picture_size} px; choose another"
+            " SIZE=, or leave ABLATION= out"
         )
 
 

@@ -7,6 +7,7 @@ photographs that resemble them. Renderings that resemble every photograph say no
 taken off first. `azimuths` then joins the votes of all generators and makes them consistent.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -165,18 +166,19 @@ def _compare(
     return joined.chunk(len(rendered), dim=1)
 
 
-def _describe(images: Float[Tensor, "N 3 H W"], extractor: FeatureExtractor) -> list[Features]:
+def _describe(images: Float[Tensor, "N 3 H W"], extractor: FeatureExtractor) -> Sequence[Features]:
     """Return directions of deep features, of pictures and of their mirror images.
 
     The feature vectors of all maps but the first have length 1: colours and edges are paint.
     """
-    return [
-        [functional.normalize(layer.float(), dim=1).half() for layer in extract(extractor, shown, _CHUNK)[2:]]
-        for shown in (images, images.flip(-1))
-    ]
+
+    def directions(batch: Float[Tensor, "B 3 H W"]) -> Features:
+        return [functional.normalize(layer.float(), dim=1) for layer in extractor(batch)[2:]]
+
+    return [extract(directions, shown, _CHUNK) for shown in (images, images.flip(-1))]
 
 
-def _distances(photographs: list[Features], rendered: list[Features]) -> Float[Tensor, "N K"]:
+def _distances(photographs: Sequence[Features], rendered: Sequence[Features]) -> Float[Tensor, "N K"]:
     """Compare photographs with renderings, and their mirror images with each other."""
     count = len(photographs[0][0])
     total = torch.zeros(count, len(rendered[0][0]), device=photographs[0][0].device)

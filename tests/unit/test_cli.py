@@ -28,9 +28,8 @@ from pipeline.cli import reconstruct as reconstruction
 from pipeline.cli.__main__ import main
 from pipeline.cli.outputs import Found
 from pipeline.cli.photographs import Target, Task, list_tasks
-from pipeline.cli.workers import workers
 from pipeline.datasets.decoding import Fit, decode
-from pipeline.errors import DataError, ProcessKilled
+from pipeline.errors import DataError
 from pipeline.networks.feature_extractor import extract, load_feature_extractor, save_feature_extractor
 from pipeline.networks.full_model import Reconstruction, full_model_texts
 from pipeline.networks.wide_resnet import WideResNet
@@ -202,12 +201,6 @@ def test_a_folder_is_reconstructed_but_for_what_cannot_be_read(
     assert not list((project / "out").rglob("*.gif"))
 
 
-def share_among_two(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let two processes share what is few photographs for one."""
-    monkeypatch.setattr("pipeline.cli.workers.PHOTOGRAPHS", 1)
-    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
-
-
 def test_processes_that_share_a_folder_write_what_one_does(
     project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -219,19 +212,28 @@ def test_processes_that_share_a_folder_write_what_one_does(
     alone = {path.name: path.read_bytes() for path in (project / "out").iterdir() if path.name != "index.html"}
     shutil.rmtree(project / "out")
     (folder / "broken.jpg").write_bytes(b"not a picture")
-    share_among_two(monkeypatch)
+    monkeypatch.setattr("pipeline.cli.workers.PHOTOGRAPHS", 1)
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
     here = patch("pipeline.cli.outputs.write_glb", side_effect=AssertionError("written by the process that shares"))
     with here, pytest.raises(SystemExit, match=r"^error: \S*broken\.jpg cannot be read as a picture"):
         reconstruct(project, str(folder), *outputs)
     assert len(alone) == 2 * 8 + 1
     assert {name: (project / "out" / name).read_bytes() for name in alone} == alone
+    (folder / "vans").mkdir()
+    shutil.copy(folder / "van.png", folder / "vans/van.png")
+    (project / "out/vans").write_text("where a folder should be")
+    with pytest.raises(SystemExit, match=r"^error: \S*out/vans"):
+        reconstruct(project, str(folder), *outputs)
 
 
-def test_a_killed_worker_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    share_among_two(monkeypatch)
-    with pytest.raises(ProcessKilled, match="was killed, perhaps for want of memory; run the same command again"):  # noqa: SIM117
-        with workers(2) as divide:
-            list(divide(os._exit, [1]))
+def test_what_is_found_of_a_photograph_holds_no_other(project: Path) -> None:
+    """Or each would travel to its process with the whole batch."""
+    extractor = load_feature_extractor(
+        project / "models/features/toybox-laptop.safetensors", torch.device("cpu"), torch.float32
+    )
+    found = reconstruction._inferred(photographs(2)[0], tiny_model().eval(), extractor)[1]
+    for tensor in (found.vertices, found.texture, found.background, found.image, *found.pose):
+        assert tensor.untyped_storage().nbytes() == tensor.nbytes
 
 
 def test_a_photograph_that_cannot_be_opened_stops_no_other(

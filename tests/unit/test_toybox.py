@@ -126,7 +126,7 @@ def test_processes_take_the_photographs_that_one_takes(monkeypatch: pytest.Monke
     alone = make_toybox(config)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
     monkeypatch.setattr(toybox, "_CHUNKS_WORTH_A_PROCESS", 1)
-    with patch.object(toybox, "ProcessPoolExecutor", wraps=toybox.ProcessPoolExecutor) as pool:
+    with patch.object(toybox, "process_pool", wraps=toybox.process_pool) as pool:
         shared = make_toybox(config)
     pool.assert_called_once()
     for split, category in product(("train", "test"), CATEGORIES):

@@ -1,9 +1,6 @@
 """The embedded toybox: random photographs of cars, chairs, aeroplanes and horses, with their ground truth."""
 
-import multiprocessing
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from functools import partial
 from typing import NamedTuple
@@ -23,8 +20,7 @@ from pipeline.datasets.toybox.photograph import PhotographConfig, photograph
 from pipeline.datasets.toybox.surroundings import Setting
 from pipeline.datasets.toybox.views import ViewRange
 from pipeline.datasets.truth import GroundTruth, concatenate
-from pipeline.errors import ProcessKilled
-from pipeline.launch import divided_threads, end_with_parent, interrupts_ignored
+from pipeline.launch import process_pool
 from pipeline.ranges import Count, Natural
 from pipeline.seeding import numpy_generator
 
@@ -107,16 +103,8 @@ def _photograph_all(config: ToyboxConfig, chunks: list[Chunk]) -> list[Taken]:
     processes = min(torch.get_num_threads(), len(chunks) // _CHUNKS_WORTH_A_PROCESS)
     if processes < 2:
         return [take(chunk) for chunk in progress(chunks)]
-    context = multiprocessing.get_context("spawn")
-    with divided_threads(processes), ProcessPoolExecutor(processes, context, end_with_parent) as pool:
-        with interrupts_ignored():
-            taken = pool.map(take, chunks)
-        try:
-            return list(progress(taken))
-        except BrokenProcessPool:
-            raise ProcessKilled(
-                "a process that made the toybox was killed, perhaps for want of memory; run the same command again"
-            ) from None
+    with process_pool(processes, "made the toybox") as pool:
+        return list(progress(pool.map(take, chunks)))
 
 
 def _photograph_chunk(config: ToyboxConfig, chunk: Chunk) -> Taken:
