@@ -80,7 +80,7 @@ def _sides(degrees: list[str]) -> list[int]:
     return [round(float(azimuth) / 90) % 4 for azimuth in degrees]
 
 
-WHOLE = r"(?!.*(no-|fixed-base|single-stage|longer|-200-|-500-)).*"
+WHOLE = r"(?!.*(no-|fixed-base|single-stage|longer|sharper|-200-|-500-)).*"
 """Runs of all photographs, without an ablation, and baselines."""
 ABLATIONS = r"toybox-car(-no-.*|-fixed-base|-single-stage.*)?"
 CONSISTENCY = {
@@ -207,6 +207,22 @@ TABLES: dict[str, Table | Confusion] = {
             "views right": "pose.test.acc_pi6",
             "shape IoU": "shape.test.voxel_iou",
             "mask IoU": "shape.test.mask_iou",
+        },
+    ),
+    "sharper": Table(
+        "",
+        r"(toybox-car|toybox64-car-sharper|stanford-car|stanford64-car-sharper)",
+        {
+            "views right": "pose.test.acc_pi6",
+            "fine-tuned": "pose.test_tuned.acc_pi6",
+            "recorded in training": "pose.train.acc_pi6",
+            "turned by 180°": "pose.test.flipped",
+            "median error, °": "pose.test.median_error_degrees",
+            "base shape after full training": "shape.final_base.voxel_iou",
+            "shape IoU": "shape.test.voxel_iou",
+            "mask IoU": "shape.test.mask_iou",
+            "fine-tuned mask IoU": "shape.test_tuned.mask_iou",
+            "azimuths read off own drawings": "multiview.acc_pi6",
         },
     ),
     "fewer": Table(
