@@ -14,6 +14,8 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 PHOTOGRAPHS = 50
 """For a process of its own: so many take about as long as it takes to start one."""
+FEWEST = 4
+"""Processes: two gain nothing for what it takes to start them and to send them what to write."""
 _MOST = 8
 """Processes, of 600 MB each."""
 
@@ -34,7 +36,7 @@ def workers(photographs: int) -> Iterator[Map]:
     process was killed.
     """
     count = min(torch.get_num_threads(), photographs // PHOTOGRAPHS, _MOST)
-    if count < 2:
+    if count < FEWEST:
         yield map
         return
     with process_pool(count, "reads and writes photographs") as pool:

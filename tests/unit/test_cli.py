@@ -213,6 +213,7 @@ def test_processes_that_share_a_folder_write_what_one_does(
     shutil.rmtree(project / "out")
     (folder / "broken.jpg").write_bytes(b"not a picture")
     monkeypatch.setattr("pipeline.cli.workers.PHOTOGRAPHS", 1)
+    monkeypatch.setattr("pipeline.cli.workers.FEWEST", 2)
     monkeypatch.setattr(torch, "get_num_threads", lambda: 2)
     here = patch("pipeline.cli.outputs.write_glb", side_effect=AssertionError("written by the process that shares"))
     with here, pytest.raises(SystemExit, match=r"^error: \S*broken\.jpg cannot be read as a picture"):
