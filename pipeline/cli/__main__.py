@@ -4,7 +4,7 @@ import signal
 import sys
 import webbrowser
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from io import TextIOWrapper
 from pathlib import Path
@@ -46,7 +46,23 @@ def _parser() -> ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     project = ArgumentParser(add_help=False)
     project.add_argument("--project", type=Path, default=Path(), help="folder of params.yaml; default: this one")
-    reconstruct = commands.add_parser("reconstruct", parents=[project], help="turn photographs into meshes")
+    _add_reconstruct(commands.add_parser, project)
+    _add_arrange(commands.add_parser)
+    view = commands.add_parser("view", parents=[project], help="open the page of a run")
+    view.add_argument("--run", help="default: the first run in params.yaml")
+    view.set_defaults(command=_view)
+    runs = commands.add_parser("runs", parents=[project], help="write and open one table of all runs' figures")
+    runs.set_defaults(command=_runs)
+    _add_benchmark(commands.add_parser, project)
+    doctor = commands.add_parser(
+        "doctor", parents=[project], help="say what is installed and found, and what is missing"
+    )
+    doctor.set_defaults(command=_doctor)
+    return parser
+
+
+def _add_reconstruct(add: Callable[..., ArgumentParser], project: ArgumentParser) -> None:
+    reconstruct = add("reconstruct", parents=[project], help="turn photographs into meshes")
     reconstruct.add_argument(
         "photographs",
         type=Path,
@@ -73,7 +89,10 @@ def _parser() -> ArgumentParser:
         help="paint each mesh with up to 128 pixels of its photograph a side; best after --fine-tune",
     )
     reconstruct.set_defaults(command=_reconstruct)
-    arrange = commands.add_parser("arrange", help="bring a folder of photographs into the form to learn from")
+
+
+def _add_arrange(add: Callable[..., ArgumentParser]) -> None:
+    arrange = add("arrange", help="bring a folder of photographs into the form to learn from")
     arrange.add_argument("folder", type=Path, metavar="FOLDER", help="photographs of one category, at any depth")
     arrange.add_argument("--category", required=True, help="what they show, such as ship")
     arrange.add_argument("--out", type=Path, required=True, help="folder to write, the SOURCE of make run")
@@ -85,14 +104,10 @@ def _parser() -> ArgumentParser:
         help="photographs whose short side is below it are left out; default: %(default)s",
     )
     arrange.set_defaults(command=_arrange)
-    view = commands.add_parser("view", parents=[project], help="open the page of a run")
-    view.add_argument("--run", help="default: the first run in params.yaml")
-    view.set_defaults(command=_view)
-    runs = commands.add_parser("runs", parents=[project], help="write and open one table of all runs' figures")
-    runs.set_defaults(command=_runs)
-    benchmark = commands.add_parser(
-        "benchmark", parents=[project], help="measure another method's predictions as a run is measured"
-    )
+
+
+def _add_benchmark(add: Callable[..., ArgumentParser], project: ArgumentParser) -> None:
+    benchmark = add("benchmark", parents=[project], help="measure another method's predictions as a run is measured")
     benchmark.add_argument(
         "predictions", type=Path, metavar="PREDICTIONS", help="an .npz file; docs/benchmark.md says what it holds"
     )
@@ -100,11 +115,6 @@ def _parser() -> ArgumentParser:
     benchmark.add_argument("--dataset", default="toybox", help="to which these belong; default: %(default)s")
     benchmark.add_argument("--out", type=Path, required=True, help="file of the figures to write, such as car.json")
     benchmark.set_defaults(command=_benchmark)
-    doctor = commands.add_parser(
-        "doctor", parents=[project], help="say what is installed and found, and what is missing"
-    )
-    doctor.set_defaults(command=_doctor)
-    return parser
 
 
 # Commands import what they need, after what needs no more of it to be refused: PyTorch alone takes seconds.

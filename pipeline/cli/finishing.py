@@ -4,6 +4,7 @@ import errno
 import hashlib
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -47,8 +48,7 @@ class Reading(NamedTuple):
         """Decode a photograph. Returns a sentence where it cannot be read."""
         name = str(task.photograph)
         try:
-            with reading(name):
-                content = task.photograph.read_bytes()
+            content = _content(task.photograph)
             pixels = decode(content, name, self.size, self.fit)
         except DataError as error:
             return str(error)
@@ -60,13 +60,16 @@ class Reading(NamedTuple):
         Raises DataError where the file is another by now.
         """
         path = picture.task.photograph
-        with reading(str(path)):
-            content = path.read_bytes()
+        content = _content(path)
         if hashlib.sha256(content).hexdigest() != picture.content_hash:
             raise DataError(f"{path} was replaced while it was reconstructed; run the same command again")
-        return (
-            torch.from_numpy(decode_up_to(content, str(path), most, self.size, self.fit).copy()).permute(2, 0, 1) / 255
-        )
+        pixels = decode_up_to(content, str(path), most, self.size, self.fit)
+        return torch.from_numpy(pixels.copy()).permute(2, 0, 1) / 255
+
+
+def _content(photograph: Path) -> bytes:
+    with reading(str(photograph)):
+        return photograph.read_bytes()
 
 
 class Writing(NamedTuple):
