@@ -6,11 +6,17 @@ import webbrowser
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from io import TextIOWrapper
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 from pipeline.errors import STOPPED, in_one_sentence
+
+_DESCRIPTION = (
+    "Prepare photographs, turn them into textured meshes and look at runs; `make run` trains the models (README.md)."
+)
 
 
 def main(words: Sequence[str] | None = None) -> None:
@@ -42,33 +48,38 @@ def _ended_by_signals() -> Iterator[None]:
 
 
 def _parser() -> ArgumentParser:
-    parser = ArgumentParser("kato3d", description="Single photographs to textured meshes, with a trained model.")
-    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    parser = ArgumentParser("kato3d", description=_DESCRIPTION)
+    add = partial(_add_command, parser.add_subparsers(required=True, metavar="COMMAND"))
     project = ArgumentParser(add_help=False)
-    project.add_argument("--project", type=Path, default=Path(), help="folder of params.yaml; default: this one")
-    _add_reconstruct(commands.add_parser, project)
-    _add_arrange(commands.add_parser)
-    view = commands.add_parser("view", parents=[project], help="open the page of a run")
+    project.add_argument(
+        "--project", type=Path, default=Path(), help="the project's folder, with params.yaml; default: the current one"
+    )
+    _add_reconstruct(add, project)
+    _add_arrange(add)
+    view = add("view", "open the page of a run", project)
     view.add_argument("--run", help="default: the first run in params.yaml")
     view.set_defaults(command=_view)
-    runs = commands.add_parser("runs", parents=[project], help="write and open one table of all runs' figures")
+    runs = add("runs", "write and open one table of all runs' figures", project)
     runs.set_defaults(command=_runs)
-    _add_benchmark(commands.add_parser, project)
-    doctor = commands.add_parser(
-        "doctor", parents=[project], help="say what is installed and found, and what is missing"
-    )
+    _add_benchmark(add, project)
+    doctor = add("doctor", "say what is installed and found, and what is missing", project)
     doctor.set_defaults(command=_doctor)
     return parser
 
 
+def _add_command(commands: Any, name: str, what: str, *parents: ArgumentParser) -> ArgumentParser:
+    """Add a command that says what it does in the list of commands and in its own help."""
+    return commands.add_parser(name, parents=parents, help=what, description=f"{what[0].upper()}{what[1:]}.")
+
+
 def _add_reconstruct(add: Callable[..., ArgumentParser], project: ArgumentParser) -> None:
-    reconstruct = add("reconstruct", parents=[project], help="turn photographs into meshes")
+    reconstruct = add("reconstruct", "turn photographs into textured meshes, with the trained model of a run", project)
     reconstruct.add_argument(
         "photographs",
         type=Path,
         nargs="+",
         metavar="PHOTO",
-        help="a photograph, or a folder: RGB, at least as large as the model's pictures; -NAME is written ./-NAME",
+        help="a photograph, or a folder: RGB, at least as large as the model's pictures; ./-NAME where it starts so",
     )
     reconstruct.add_argument("--run", help="whose model; default: the first run in params.yaml")
     reconstruct.add_argument("--out", type=Path, required=True, help="folder to write to")
@@ -92,7 +103,7 @@ def _add_reconstruct(add: Callable[..., ArgumentParser], project: ArgumentParser
 
 
 def _add_arrange(add: Callable[..., ArgumentParser]) -> None:
-    arrange = add("arrange", help="bring a folder of photographs into the form to learn from")
+    arrange = add("arrange", "bring a folder of photographs into the form to learn from")
     arrange.add_argument("folder", type=Path, metavar="FOLDER", help="photographs of one category, at any depth")
     arrange.add_argument("--category", required=True, help="what they show, such as ship")
     arrange.add_argument("--out", type=Path, required=True, help="folder to write, the SOURCE of make run")
@@ -107,7 +118,7 @@ def _add_arrange(add: Callable[..., ArgumentParser]) -> None:
 
 
 def _add_benchmark(add: Callable[..., ArgumentParser], project: ArgumentParser) -> None:
-    benchmark = add("benchmark", parents=[project], help="measure another method's predictions as a run is measured")
+    benchmark = add("benchmark", "measure another method's predictions as a run is measured", project)
     benchmark.add_argument(
         "predictions", type=Path, metavar="PREDICTIONS", help="an .npz file; docs/benchmark.md says what it holds"
     )

@@ -110,5 +110,6 @@ def _require_all(path: Path, counts: Mapping[str, Counter[str]]) -> None:
 def without_pictures(path: Path) -> DataError:
     """Say what a source without pictures should look like."""
     return DataError(
-        f"{path} has no pictures at train/<category>/ and test/<category>/; `kato3d arrange` puts them there"
+        f"{path} has no pictures at train/<category>/ and test/<category>/; `kato3d arrange` puts them there; "
+        "of CIFAR-10, name cifar-10-python.tar.gz itself"
     )
