@@ -92,8 +92,10 @@ def place_images(
     mapped = MappedImages(parts, parts[0].shape[-1] if size is None else size, device)
     if len(mapped) * 3 * mapped.size**2 > memory:
         return mapped
-    reduced = [_reduce(batch, mapped.size) for part in parts for batch in part.split(_BATCH)]
-    return torch.cat(reduced).contiguous().to(device)
+    images = torch.empty(mapped.shape, dtype=torch.uint8, device=device)
+    for start, batch in zip(range(0, len(mapped), _BATCH), mapped.split(_BATCH), strict=True):
+        images[start : start + _BATCH] = batch
+    return images
 
 
 def _reduce(images: UInt8[Tensor, "N 3 _ _"], size: int) -> UInt8[Tensor, "N 3 {size} {size}"]:

@@ -27,7 +27,7 @@ class EncoderConfig:
     """Shape of an encoder."""
 
     architecture: Literal["wide_resnet", "resnet18"]
-    """`wide_resnet` for 32 px photographs, `resnet18` for larger ones (paper section 4.2)."""
+    """`wide_resnet` for 32 px photographs (at laptop size for 64 px too), `resnet18` for larger ones (section 4.2)."""
     width: Count
     """Channels of the first group of blocks; every later group doubles them. ResNet-18 has 64, WRN-d-k has 16 k."""
     blocks: Count

@@ -53,6 +53,8 @@ def turn_on_dataset(document: CommentedMap, name: str, contents: Contents | None
         if kind == "toybox":
             own = f"toybox: {{photograph: {{size: {size}}}}}"
             remedy = f"add a dataset with `{own}` to params.yaml, and name it by DATASET="
+        if kind == "cifar10":
+            remedy = "CIFAR-10 has no others: leave SIZE= or ABLATION= out, or name other photographs"
         raise ConfigError(f"pictures of '{name}' are {found} px, but this run compares {size} px; {remedy}")
     put(datasets, name, entry)
 

@@ -60,8 +60,9 @@ def turn_on(path: Path, options: Options) -> str:
     own. A run whose ablation leaves base shapes as they are shares the base shape of the run without ablation.
 
     Raises ConfigError for a row, size, ablation or base shape that does not exist, for a base shape that an ablation
-    would change, for a negative seed, for an ablation that trains less than the size, for a size at which the
-    baseline cannot draw, for names that are not plain, for a dataset whose source is not known or gone, that lacks this
+    would change or full training does without, for a negative seed, for an ablation that changes nothing or trains
+    less than the size, for a size at which the baseline cannot draw, for pictures that base shapes cannot be learned
+    from, for names that are not plain, for a dataset whose source is not known or gone, that lacks this
     category or another that is learned from it, or whose pictures have another size, for features whose weights are not
     known, and for a run, a base shape or features of that name that are on with other settings.
     """
@@ -78,13 +79,18 @@ def turn_on(path: Path, options: Options) -> str:
         require_known(name, document[kind], f"{path}: {kind} has no")
     if options.seed < 0:
         raise ConfigError(f"SEED is {options.seed}; expected 0 or a greater number")
-    _require_no_less(document, options)
+    _require_more(document, options)
     _require_base_shape(path, document, options)
     sections = ("learn_base_shape", f"rows.{options.row}.learn_base_shape", f"sizes.{options.size}.learn_base_shape")
-    framing, size = load(path, BaseShapeConfig, sections).framing, _picture_size(document, options)
+    base, size = load(path, BaseShapeConfig, sections), _full_training(document, options)["model"]["renderer"]["size"]
+    if size % base.renderer.size and options.base_shape is None:
+        raise ConfigError(
+            f"full training compares {size} px, no multiple of the {base.renderer.size} px that base shapes are "
+            "learned from; change one of the two `renderer.size`, or name a BASE_SHAPE="
+        )
     if options.baseline == "hologan":
         _require_that_hologan_draws(document, options.size, size)
-    dataset, category = _turn_on_photographs(document, options, size, framing)
+    dataset, category = _turn_on_photographs(document, options, size, base.framing)
     _turn_on_features(document, dataset, options)
     name = _turn_on_run(document, dataset, category, options)
     if path.read_text(encoding="utf-8") != text:  # an archive takes minutes to look through
@@ -148,13 +154,14 @@ def _turn_on_run(document: CommentedMap, dataset: str, category: str, options: O
         subject = f"{subject}-as-{options.row}"  # the other row's results have that name
     entry = {"row": options.row, "size": options.size, "ablation": options.ablation, "seed": options.seed}
     entry |= {"dataset": dataset, "category": category, "features": _features_name(dataset, options)}
-    if options.base_shape is not None:
+    base_shape = entry | {"ablation": _of_base_shape(document, options)}
+    own_base_shape = _name(subject, base_shape)
+    if options.base_shape not in (None, own_base_shape):
         name = f"{_name(subject, entry)}-around-{options.base_shape}"
         _put_same(document, "runs", name, entry | {"base_shape": options.base_shape}, {})
         return name
-    base_shape = entry | {"ablation": _of_base_shape(document, options)}
-    _put_same(document, "base_shapes", _name(subject, base_shape), base_shape, {"chosen": BY_SCORE})
-    _put_same(document, "runs", _name(subject, entry), entry | {"base_shape": _name(subject, base_shape)}, {})
+    _put_same(document, "base_shapes", own_base_shape, base_shape, {"chosen": BY_SCORE})
+    _put_same(document, "runs", _name(subject, entry), entry | {"base_shape": own_base_shape}, {})
     return _name(subject, entry)
 
 
@@ -191,10 +198,18 @@ def _require_same(entry: Mapping[str, Any], wanted: Mapping[str, Any], key: str)
             )
 
 
-def _require_no_less(document: CommentedMap, options: Options) -> None:
-    """Refuse an ablation with iterations or pictures that those of a larger size exceed."""
-    usual = merge(document["train_full"], document["sizes"][options.size]["train_full"])
-    changed = merge(usual, document["ablations"][options.ablation]["train_full"])
+def _require_more(document: CommentedMap, options: Options) -> None:
+    """Refuse an ablation that changes nothing, or with iterations or pictures that those of a larger size exceed."""
+    usual, changed = (_full_training(document, given) for given in (options._replace(ablation="none"), options))
+    if (
+        options.ablation != "none"
+        and changed == usual
+        and not document["ablations"][options.ablation]["learn_base_shape"]
+    ):
+        raise ConfigError(
+            f"ablation '{options.ablation}' changes nothing of row '{options.row}' at size '{options.size}'; leave "
+            "ABLATION= out"
+        )
     for of_size, of_ablation, what in (
         (usual["iterations"], changed["iterations"], "iterations"),
         (usual["model"]["renderer"]["size"], changed["model"]["renderer"]["size"], "pixels a side"),
@@ -206,10 +221,10 @@ def _require_no_less(document: CommentedMap, options: Options) -> None:
             )
 
 
-def _picture_size(document: CommentedMap, options: Options) -> int:
-    """Return how large the pictures are that full training compares; base shapes are learned from reduced ones."""
+def _full_training(document: CommentedMap, options: Options) -> dict[str, Any]:
+    """Return the settings of full training: its stage's, then what row, size and ablation change."""
     parts = (document[kind][name] for kind, name in _sections(options))
-    return reduce(merge, (part["train_full"] for part in parts), document["train_full"])["model"]["renderer"]["size"]
+    return reduce(merge, (part["train_full"] for part in parts), document["train_full"])
 
 
 def _require_base_shape(path: Path, document: CommentedMap, options: Options) -> None:
@@ -217,6 +232,8 @@ def _require_base_shape(path: Path, document: CommentedMap, options: Options) ->
     if options.base_shape is None:
         return
     require_known(options.base_shape, document["base_shapes"], f"{path}: base_shapes has no")
+    if not _full_training(document, options)["model"]["two_stage"]:
+        raise ConfigError(f"ablation '{options.ablation}' trains without a base shape; leave BASE_SHAPE= out")
     theirs = document["base_shapes"][options.base_shape]["ablation"]
     if theirs != (ours := _of_base_shape(document, options)):
         raise ConfigError(

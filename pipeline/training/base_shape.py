@@ -234,7 +234,7 @@ def learn_base_shape(
     size = world().size
     parts = size if config.seeds > size and config.seeds % size else 1
 
-    def learn(number: int) -> Learned | None:
+    def learn_part(number: int) -> Learned | None:
         part, index = divmod(number, config.seeds)
         trainer = SeedTrainer(config, sphere, photographs, extractor, seed, index)
         checkpoint, until = Checkpoint(checkpoints / str(index), key), config.iterations * (part + 1) // parts
@@ -242,8 +242,10 @@ def learn_base_shape(
         if part + 1 < parts:
             return None
         rows = [{"seed": index, **row} for row in curve.rows]
-        learned = Learned(trainer.shape().cpu(), trainer.score(), trainer.scene.cpu(), rows)
-        del trainer
+        return Learned(trainer.shape().cpu(), trainer.score(), trainer.scene.cpu(), rows)
+
+    def learn(number: int) -> Learned | None:
+        learned = learn_part(number)
         gc.collect()  # a recorded step refers to its trainer, and keeps a GPU's memory as long
         return learned
 

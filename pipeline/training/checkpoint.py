@@ -23,7 +23,7 @@ from pipeline.files import sha256
 from pipeline.tensor_files import load_tensors, save_tensors
 
 Part = nn.Module | Optimizer | torch.Generator | Tensor
-LIBRARY = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 
 
 class Checkpoint:
@@ -105,10 +105,11 @@ def restart_key(
     """Hash what a training's state depends on.
 
     That is the config, the seed (None where nothing is drawn), the kind of device (random generators differ), the
-    precision, the bytes of the inputs, which are files or directories, every Python file of the `pipeline` package, and
-    PyTorch's version.
+    precision, the bytes of the inputs, which are files or directories, every Python file of `pipeline` and `stages`,
+    and PyTorch's version.
     """
-    contents = [sha256(path) for path in [*inputs, *sorted(LIBRARY.rglob("*.py"))]]
+    code = sorted(path for folder in ("pipeline", "stages") for path in (ROOT / folder).rglob("*.py"))
+    contents = [sha256(path) for path in [*inputs, *code]]
     everything = [config, seed, device.type, precision, contents, torch.__version__]
     return hashlib.sha256(repr(everything).encode()).hexdigest()
 

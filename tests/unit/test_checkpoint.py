@@ -172,6 +172,17 @@ def test_the_key_depends_on_config_inputs_seed_device_and_precision(tmp_path: Pa
     assert keys[6] == key(0.1, [data], 0, torch.float32)
 
 
+@pytest.mark.parametrize("code", ["pipeline/training/full.py", "stages/train_full.py"])
+def test_the_key_depends_on_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: str) -> None:
+    monkeypatch.setattr("pipeline.training.checkpoint.ROOT", tmp_path)
+    keys = []
+    for text in ("a = 1", "a = 2"):
+        (tmp_path / code).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / code).write_text(text)
+        keys.append(restart_key(Settings(0.1), [], 0, torch.device("cpu"), torch.float32))
+    assert keys[0] != keys[1]
+
+
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_a_loss_that_is_not_finite_stops_the_training(value: float) -> None:
     losses = [{"loss": torch.tensor(number)} for number in (1.0, value, 2.0)]

@@ -123,6 +123,13 @@ def test_sharper_textures_want_larger_pictures(params: Path, photographs: Path) 
         turn_on(params, sharper._replace(size="paper-imagenet", dataset="cars128"))
 
 
+def test_base_shapes_are_learned_from_pictures_that_they_divide(params: Path, photographs: Path) -> None:
+    params.write_text(params.read_text().replace("size: 64", "size: 48"))
+    sharper = Options("pascal-car", ablation="sharper", dataset="cars", category="car", source=photographs)
+    with pytest.raises(ConfigError, match="compares 48 px, no multiple of the 32 px that base shapes are learned from"):
+        turn_on(params, sharper)
+
+
 def test_a_run_may_be_around_the_base_shape_of_another(params: Path, tmp_path: Path, photographs: Path) -> None:
     weights = tmp_path / "squeezenet.npz"
     weights.touch()
@@ -140,6 +147,7 @@ def test_a_run_may_be_around_the_base_shape_of_another(params: Path, tmp_path: P
     with pytest.raises(ConfigError, match=r"'toybox-car' was learned with ablation 'none', but .* with 'no-symmetry'"):
         turn_on(params, around._replace(ablation="no-symmetry"))
     assert turn_on(params, around._replace(ablation="no-ends", seed=2)).endswith("no-ends-seed2-around-toybox-car")
+    assert turn_on(params, Options("toybox-car", base_shape="toybox-car")) == "toybox-car"
 
 
 @pytest.mark.parametrize(("row", "own"), [("pascal-car", {"folder": {"fit": "pad"}}), ("cifar10-automobile", {})])
@@ -346,6 +354,11 @@ def test_what_is_no_parameter_file_is_said(params: Path) -> None:
             "pictures of 'toybox' are 32 px, but this run compares 64 px",
         ),
         (Options("toybox-car", dataset="my.v2"), "DATASET='my.v2' has other characters than letters"),
+        (
+            Options("toybox-horse", ablation="no-ends"),
+            "'no-ends' changes nothing of row 'toybox-horse' at size 'laptop'",
+        ),
+        (Options("toybox-car", ablation="single-stage", base_shape="toybox-car"), "trains without a base shape"),
         (Options("cifar10-horse", source=ROOT / "docs"), "has no pictures at train/<category>/ and test/<category>/"),
     ],
 )
