@@ -45,6 +45,7 @@ def load_tensors(path: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     """
     if not path.is_file():
         raise DataError(f"{path} does not exist; run the stage that writes it first")
+    path.open("rb").close()  # an error names what forbids it; one of safe_open says that there is no such file
     try:
         return _read_tensors(path)
     except (SafetensorError, KeyError):

@@ -1,5 +1,6 @@
 """The command line: `kato3d arrange`, `reconstruct`, `view`, `runs`, `benchmark` and `doctor`."""
 
+import os
 import signal
 import sys
 import webbrowser
@@ -21,6 +22,8 @@ _DESCRIPTION = (
 
 def main(words: Sequence[str] | None = None) -> None:
     """Run a command; an error of the user is one sentence, without a traceback, and exits with status 1."""
+    if sys.stderr is None:  # after `2>&-`; progress is written there
+        sys.stderr = Path(os.devnull).open("w")  # noqa: SIM115
     if isinstance(sys.stdout, TextIOWrapper):  # which it is not after `>&-`
         sys.stdout.reconfigure(errors="backslashreplace")  # any file's name can be printed
     with in_one_sentence(), _ended_by_signals():
@@ -79,7 +82,7 @@ def _add_reconstruct(add: Callable[..., ArgumentParser], project: ArgumentParser
         type=Path,
         nargs="+",
         metavar="PHOTO",
-        help="a photograph, or a folder: RGB, at least as large as the model's pictures; ./-NAME where it starts so",
+        help="a photograph, or a folder: RGB, at least as large as the model's pictures; -NAME is written ./-NAME",
     )
     reconstruct.add_argument("--run", help="whose model; default: the first run in params.yaml")
     reconstruct.add_argument("--out", type=Path, required=True, help="folder to write to")

@@ -1,7 +1,6 @@
 """Bring a folder of photographs into the form that the pipeline learns from."""
 
 import csv
-import io
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,10 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 from PIL import Image, ImageOps
+from PIL.TiffImagePlugin import PHOTOMETRIC_INTERPRETATION, TiffImageFile
 from tqdm import tqdm
 
 from pipeline.cli.photographs import find_photographs, visible_files
-from pipeline.datasets.decoding import reading, to_srgb
+from pipeline.datasets.decoding import open_picture, reading, to_srgb
 from pipeline.datasets.prepared import is_plain
 from pipeline.errors import DataError
 from pipeline.files import atomic_path
@@ -87,13 +87,16 @@ def _write_originals(path: Path, originals: Mapping[str, str]) -> None:
 
 def _upright(path: Path, least_side: int) -> Image.Image:
     with reading(str(path)):
-        picture = ImageOps.exif_transpose(Image.open(io.BytesIO(path.read_bytes())))
+        stored = open_picture(path.read_bytes())
+        picture = ImageOps.exif_transpose(stored)
         picture.load()
     if min(picture.size) < least_side:
         size = f"{picture.width}x{picture.height}"
         raise DataError(f"{path} is {size} px; expected at least {least_side} px along the short side")
     profile = picture.info.get("icc_profile")
-    picture = _eight_bits(picture, path)
+    picture = _eight_bits(
+        picture, path, isinstance(stored, TiffImageFile) and stored.tag_v2.get(PHOTOMETRIC_INTERPRETATION) == 0
+    )
     if picture.has_transparency_data:
         picture = picture.convert("RGBA")
         picture = Image.alpha_composite(Image.new("RGBA", picture.size, "white"), picture)
@@ -103,15 +106,17 @@ def _upright(path: Path, least_side: int) -> Image.Image:
     return picture
 
 
-def _eight_bits(picture: Image.Image, path: Path) -> Image.Image:
+def _eight_bits(picture: Image.Image, path: Path, white_is_zero: bool) -> Image.Image:
     """Bring grey values of 16 bits to 8, which PIL would cut off at 255, and a transparent one to white."""
     if picture.mode == "F":
         raise DataError(f"{path} has grey values that are fractions; expected 8 or 16 bits")  # their range is not known
     if not picture.mode.startswith("I"):
         return picture
-    grey = np.asarray(picture)
-    grey = np.where(grey == picture.info.get("transparency"), 65535, grey)
-    return Image.fromarray((grey.clip(0, 65535) / 257).round().astype(np.uint8))
+    grey = np.asarray(picture).astype(np.int64)
+    if grey.min() < 0 or grey.max() > 65535:
+        raise DataError(f"{path} has grey values of 32 bits; expected 8 or 16 bits")
+    grey = np.where(grey == picture.info.get("transparency"), 65535, 65535 - grey if white_is_zero else grey)
+    return Image.fromarray((grey / 257).round().astype(np.uint8))
 
 
 def _smaller(picture: Image.Image, least_side: int) -> Image.Image:

@@ -91,10 +91,10 @@ def data(project: Path) -> Iterator[Finding]:
 
 
 def runs(project: Path) -> Iterator[Finding]:
-    """Look for the trained model and the page of every run."""
+    """Look for the trained model, its features and the page of every run."""
     for name in entries(project / "params.yaml", "runs"):
         run = find_run(project, name)
-        for what in ("model", "page"):
+        for what in ("model", "features", "page"):
             try:
                 yield Finding(True, f"{what} of '{name}': {getattr(run, what)}", "")
             except UserError as error:

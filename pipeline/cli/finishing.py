@@ -24,7 +24,7 @@ from pipeline.export.seam import Seam, cut_open
 from pipeline.networks.full_model import FullModel
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
-_OF_ONE_NAME = {errno.EACCES, errno.ENAMETOOLONG, errno.ENOENT}
+_OF_ONE_NAME = {errno.EACCES, errno.EISDIR, errno.ENAMETOOLONG, errno.ENOENT}
 """What a file system refuses for a photograph or a name, and may grant for others."""
 _SEEN_SIZE = 256
 """Of what is kept of a photograph, in pixels, at most."""

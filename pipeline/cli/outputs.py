@@ -60,15 +60,17 @@ def write_outputs(
             if output in outputs:
                 write(target.file(*FILES[output]), turn, 2400 // report.frames)
     if "pose" in outputs:
-        write_json(target.file("_pose.json"), _describe(found.pose))
+        write_json(target.file("_pose.json"), _describe(found.pose, camera))
 
 
-def _describe(pose: Pose) -> dict[str, float | list[float]]:
-    """Return the pose of a single object in degrees and ndc."""
+def _describe(pose: Pose, camera: CameraConfig) -> dict[str, float | list[float]]:
+    """Return the pose of a single object in degrees and ndc, and the camera that sees it in its picture."""
     return {
         "azimuth_degrees": pose.azimuth.rad2deg().item() % 360,
         "elevation_degrees": pose.elevation.rad2deg().item(),
         "roll_degrees": pose.roll.rad2deg().item(),
         "center": pose.center[0].tolist(),
         "scale": pose.scale.item(),
+        "camera_distance": camera.distance,
+        "camera_field_of_view_degrees": camera.field_of_view,
     }

@@ -4,7 +4,7 @@ import hashlib
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +20,7 @@ from pipeline.cli.photographs import RECORD, Target, Task, find_targets
 from pipeline.cli.runs import Run
 from pipeline.cli.workers import workers
 from pipeline.config import load, scalar
+from pipeline.datasets.archives import is_hidden
 from pipeline.datasets.decoding import Fit, reading
 from pipeline.datasets.prepare import PrepareConfig
 from pipeline.device import resolve_precision
@@ -75,8 +76,8 @@ def reconstruct(
 ) -> Outcome:
     """Write the outputs of each photograph, in batches, going on where an earlier call for the same folder stopped.
 
-    Raises DataError where the folder holds reconstructions by another model, or with other steps or settings, and
-    ConfigError for films without their encoder.
+    Raises DataError where the folder holds anything else, reconstructions by another model or with other steps or
+    settings among it, and ConfigError for films without their encoder.
     """
     if "video" in outputs:
         encoder()  # not missed only after the first photograph
@@ -201,7 +202,11 @@ def _separate(
 
 def _require_same_way(out: Path, way: dict[str, str | bool]) -> None:
     record = out / RECORD
-    if record.is_file() and read_json(record) != way:
+    if not record.is_file():
+        others = [path for path in out.iterdir() if not is_hidden(PurePath(path.name))] if out.is_dir() else []
+        if others:  # which outputs of the same name would replace
+            raise DataError(f"{out} holds {others[0].name}, which is no reconstruction; name a new or an empty folder")
+    elif read_json(record) != way:
         raise DataError(
             f"{out} holds reconstructions by another model or with other steps or settings ({RECORD}); name another "
             "folder, or remove this one"

@@ -42,7 +42,7 @@ class Run:
         if not path.is_file():
             raise DataError(
                 f"{path} does not exist; make it with `make repro`, which brings all runs up to date; or name another "
-                "by --run"
+                "run"
             )
         return path
 

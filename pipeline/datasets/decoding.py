@@ -23,6 +23,8 @@ Fit = Literal["crop", "pad"]
 size and continues the border pixels along the short one.
 """
 
+_FORMATS = ("BMP", "GIF", "HEIF", "JPEG", "PNG", "TIFF", "WEBP")
+"""Of what PIL reads, whatever a file is called: for others, such as PostScript, it starts other programs."""
 _PROFILED = {"RGB ": "RGB", "GRAY": "L", "CMYK": "CMYK", "Lab ": "LAB"}
 """Modes of pictures whose colours a profile describes."""
 
@@ -47,9 +49,10 @@ def decode(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, 
 def decode_up_to(content: bytes, name: str, most: int, size: int, fit: Fit) -> UInt8[np.ndarray, "side side 3"]:
     """Decode the square that `decode` shows at a size, with up to `most` pixels a side where the picture has them."""
     picture = _upright(content, name)
-    side = min(most, _fitted_side(picture, fit))
+    profile, side = picture.info.get("icc_profile"), min(most, _fitted_side(picture, fit))
     if side <= size:
         return _fitted(picture, name, side, fit)
+    picture = picture.reduce(max(1, _fitted_side(picture, fit) // (4 * side)))  # or a panorama's square takes gigabytes
     factor = size / _fitted_side(picture, fit)
     (left, right), (top, bottom) = (_window(length, factor, size) for length in picture.size)
     before, above = max(0, math.ceil(-left)), max(0, math.ceil(-top))
@@ -57,7 +60,7 @@ def decode_up_to(content: bytes, name: str, most: int, size: int, fit: Fit) -> U
     continued = np.pad(np.asarray(picture), [(above, below), (before, after), (0, 0)], mode="edge")
     window = (before + left, above + top, before + right, above + bottom)
     square = Image.fromarray(continued).resize((side, side), Image.Resampling.LANCZOS, window, reducing_gap=3.0)
-    return np.asarray(to_srgb(square, name, picture.info.get("icc_profile")))
+    return np.asarray(to_srgb(square, name, profile))
 
 
 def cut_boxes(content: bytes, name: str, boxes: Sequence[Box], size: int) -> list[UInt8[np.ndarray, "size size 3"]]:
@@ -67,7 +70,7 @@ def cut_boxes(content: bytes, name: str, boxes: Sequence[Box], size: int) -> lis
     if it cannot be read to its end or a box has no pixel of it.
     """
     with reading(name):
-        picture = Image.open(io.BytesIO(content))
+        picture = open_picture(content)
         picture.load()
     picture = to_srgb(picture, name, picture.info.get("icc_profile"))
     return [_cut(picture, name, box, size) for box in boxes]
@@ -83,9 +86,14 @@ def _cut(picture: Image.Image, name: str, box: Box, size: int) -> UInt8[np.ndarr
     return _square(np.asarray(_scaled(part, size / max(part.size))), size)
 
 
+def open_picture(content: bytes) -> Image.Image:
+    """Open a picture of one of the formats that photographs have, as `PIL.Image.open` does."""
+    return Image.open(io.BytesIO(content), formats=_FORMATS)
+
+
 def _upright(content: bytes, name: str) -> Image.Image:
     with reading(name):
-        picture = ImageOps.exif_transpose(Image.open(io.BytesIO(content)))
+        picture = ImageOps.exif_transpose(open_picture(content))
         picture.load()
     if picture.mode != "RGB" or picture.has_transparency_data:
         mode = picture.mode if picture.mode != "RGB" else "RGB with a transparent colour"
@@ -140,7 +148,7 @@ def to_srgb(picture: Image.Image, name: str, profile: bytes | None) -> Image.Ima
         seen = ImageCms.profileToProfile(
             picture.convert(mode), of_picture, ImageCms.createProfile("sRGB"), outputMode="RGB"
         )
-    except (ImageCms.PyCMSError, KeyError, OSError, ValueError) as error:
+    except (ImageCms.PyCMSError, KeyError, OSError, TypeError, ValueError) as error:
         raise DataError(f"{name} has a colour profile that cannot be used ({error}); convert or remove it") from None
     assert seen is not None  # a new picture, as profileToProfile was not told to change the one given
     return seen

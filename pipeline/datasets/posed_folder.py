@@ -13,8 +13,8 @@ from pipeline.errors import DataError
 
 TABLE = "poses.csv"
 FILE = "file"
-ANGLES = ("azimuth_deg", "elevation_deg", "roll_deg")
-"""Columns of the table, in degrees and in the conventions of `pipeline.geometry.camera.Pose`."""
+ANGLES = {"azimuth_deg": 360, "elevation_deg": 90, "roll_deg": 360}
+"""Columns of the table and how far from 0 they may be, in degrees and in the conventions of `geometry.camera.Pose`."""
 
 Angles = dict[str, tuple[float, ...]]
 """Azimuth, elevation and roll in radians, by a picture's path below the table's folder."""
@@ -68,20 +68,24 @@ def _parse(where: str, text: str) -> Angles:
         for row in rows:
             if row[FILE] in angles:
                 raise DataError(f"{where}, line {rows.line_num}: {row[FILE]} has a row already; keep one of them")
-            angles[row[FILE]] = tuple(_radians(where, rows.line_num, row[column]) for column in ANGLES)
+            angles[row[FILE]] = tuple(
+                _radians(f"{where}, line {rows.line_num}", column, row[column]) for column in ANGLES
+            )
     except csv.Error as error:
         raise DataError(f"{where}, line {rows.line_num + 1} cannot be read ({error}); look for quotes") from None
     return angles
 
 
-def _radians(where: str, line: int, text: str) -> float:
+def _radians(where: str, column: str, text: str) -> float:
     try:
-        angle = math.radians(float(text))
+        angle = float(text)
     except (TypeError, ValueError):
         angle = math.nan
-    if not math.isfinite(angle):
-        raise DataError(f"{where}, line {line}: {text!r} is not an angle in degrees")
-    return angle
+    if not abs(angle) <= ANGLES[column]:
+        raise DataError(
+            f"{where}: {column} is {text!r}; expected an angle from {-ANGLES[column]} to {ANGLES[column]} degrees"
+        )
+    return math.radians(angle)
 
 
 def _truth(path: Path, angles: Mapping[str, tuple[float, ...]], names: Sequence[str]) -> Viewpoints:

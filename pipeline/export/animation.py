@@ -1,16 +1,15 @@
 """Turntables: animations that every browser and viewer plays."""
 
-from collections.abc import Callable
+import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Float, UInt8
 from PIL import Image
 from torch import Tensor
 
-from pipeline.errors import ConfigError
+from pipeline.errors import ConfigError, DataError
 from pipeline.files import atomic_path
 
 
@@ -23,28 +22,43 @@ def write_gif(path: Path, frames: Float[Tensor, "K 3 H W"], milliseconds: int) -
 
 
 def write_mp4(path: Path, frames: Float[Tensor, "K 3 H W"], milliseconds: int) -> None:
-    """Write a film in H.264, which browsers play, atomically. Errors as in `encoder`."""
-    write_frames = encoder()
-    pixels = np.ascontiguousarray(_pixels(frames))
+    """Write a film in H.264, which browsers play, atomically.
+
+    Raises DataError where it cannot be written, and ConfigError as `encoder` does.
+    """
+    pixels = _pixels(frames)
+    height, width = pixels.shape[1:3]
+    shown = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"1000/{milliseconds}", "-i", "-"]
+    film = [
+        "-vf",
+        "scale=ceil(iw/2)*2:ceil(ih/2)*2",
+        "-c:v",
+        "libx264",
+        "-pix_fmt",
+        "yuv420p",
+        "-crf",
+        "25",
+        "-f",
+        "mp4",
+    ]
     with atomic_path(path) as temporary:
-        rate: Any = 1000 / milliseconds  # ffmpeg takes fractions, whatever the annotation says
-        film = write_frames(str(temporary), pixels.shape[2:0:-1], fps=rate, macro_block_size=2)  # sides become even
-        film.send(None)
-        for frame in pixels:
-            film.send(frame)
-        film.close()
+        words = [encoder(), "-y", "-v", "error", *shown, *film, f"file:{temporary}"]
+        ended = subprocess.run(words, input=pixels.tobytes(), capture_output=True, check=False)
+        if ended.returncode:
+            reason = ended.stderr.decode(errors="replace").strip().rpartition("\n")[2]
+            raise DataError(f"{path} cannot be written ({reason}); look at its folder and the space that is left")
 
 
-def encoder() -> Callable[..., Any]:
-    """Import what writes films. Raises ConfigError where the extra `video`, which brings it, is not installed."""
+def encoder() -> str:
+    """Return the program that writes films. Raises ConfigError where the extra `video`, which brings it, is missing."""
     try:
-        from imageio_ffmpeg import write_frames
+        from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError:
         raise ConfigError(
             "films need the encoder of imageio-ffmpeg; install it with `.venv/bin/pip install -c constraints.txt -e "
             "'.[video]'`"
         ) from None
-    return write_frames
+    return get_ffmpeg_exe()
 
 
 def _of_256_colors(frame: UInt8[np.ndarray, "H W 3"]) -> Image.Image:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.TiffImagePlugin import PHOTOMETRIC_INTERPRETATION
 
 from pipeline.cli.__main__ import main
 from pipeline.cli.arrange import LONGEST, arrange
@@ -133,17 +134,20 @@ def test_photographs_become_upright_rgb_and_not_too_large(tmp_path: Path) -> Non
         "f.png": grey_of_16_bits(),
         "g.HEIC": picture_of_a_telephone(),
         "h.png": grey_of_16_bits(transparency=0),
+        "i.tif": from_white_to_black(),
     }
     arrange(write_folder(tmp_path / "photos", files), "ship", tmp_path / "mine", 32)
     paths = sorted((tmp_path / "mine").rglob("*.jpg"), key=lambda path: path.name)
     written = [Image.open(io.BytesIO(path.read_bytes())) for path in paths]
-    assert [image.mode for image in written] == ["RGB"] * 8
-    sizes = [(40, 80), (32, 32), (40, 40), (LONGEST, LONGEST // 4), (1280, 32), (40, 40), (60, 40), (40, 40)]
+    assert [image.mode for image in written] == ["RGB"] * 9
+    sizes = [(40, 80), (32, 32), (40, 40), (LONGEST, LONGEST // 4), (1280, 32), (40, 40), (60, 40), (40, 40), (40, 40)]
     assert [image.size for image in written] == sizes
     assert np.asarray(written[2]).min() > 250
     assert abs(np.asarray(written[5]).mean() - 127.5) < 2
     assert abs(np.asarray(written[7]).mean() - 127.5) < 2
     assert np.asarray(written[7])[0, 0].min() > 200
+    assert np.asarray(written[8])[0].min() > 200
+    assert np.asarray(written[8])[-1].max() < 55
 
 
 def picture_of_a_telephone() -> bytes:
@@ -158,6 +162,20 @@ def grey_of_16_bits(transparency: int | None = None) -> bytes:
     ramp = np.linspace(0, 65535, 1600).round().astype(np.uint16).reshape(40, 40)
     stream = io.BytesIO()
     Image.fromarray(ramp).save(stream, "PNG", transparency=transparency)
+    return stream.getvalue()
+
+
+def from_white_to_black() -> bytes:
+    """Encode a ramp of 16 bits in whose file 0 is white."""
+    stream = io.BytesIO()
+    Image.open(io.BytesIO(grey_of_16_bits())).save(stream, "TIFF", tiffinfo={PHOTOMETRIC_INTERPRETATION: 0})
+    return stream.getvalue()
+
+
+def of_32_bits() -> bytes:
+    """Encode grey values beyond 16 bits."""
+    stream = io.BytesIO()
+    Image.fromarray(np.full((40, 40), 100_000, dtype=np.int32)).save(stream, "TIFF")
     return stream.getvalue()
 
 
@@ -179,17 +197,20 @@ def test_colours_become_those_of_srgb(tmp_path: Path) -> None:
 def test_what_cannot_be_used_is_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = {f"{number}.jpg": noise(number) for number in range(3)}
     files |= {"broken.jpg": noise(9)[:300], "small.png": picture(width=31), "a.CR2": b"", "b.cr2": b""}
-    files |= {"depth.tif": fractions(), "wide.png": picture(width=70_000)}
+    files |= {"depth.tif": fractions(), "far.tif": of_32_bits(), "wide.png": picture(width=70_000)}
+    files |= {"drawing.jpg": b"%!PS-Adobe-3.0 EPSF-3.0\n%%BoundingBox: 0 0 40 40\n%%EndComments\n"}
     photos, out = write_folder(tmp_path / "photos", files), tmp_path / "mine"
     main(["arrange", str(photos), "--category", "ship", "--out", str(out)])
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith(f"left out: {photos / 'broken.jpg'} cannot be read as a picture")
     assert said[1:] == [
         f"left out: {photos / 'depth.tif'} has grey values that are fractions; expected 8 or 16 bits",
+        f"left out: {photos / 'drawing.jpg'} cannot be read as a picture (unknown format); replace or remove it",
+        f"left out: {photos / 'far.tif'} has grey values of 32 bits; expected 8 or 16 bits",
         f"left out: {photos / 'small.png'} is 31x32 px; expected at least 32 px along the short side",
         f"left out: {photos / 'wide.png'} would be written 70000x32 px; expected at most 65500 px",
         "passed over: 2 files that end in '.cr2'",
-        f"2 for training and 1 for testing written to {out}, 4 left out",
+        f"2 for training and 1 for testing written to {out}, 6 left out",
     ]
 
 

@@ -30,12 +30,13 @@ from pipeline.cli.outputs import Found
 from pipeline.cli.photographs import Target, Task, list_tasks
 from pipeline.datasets.decoding import Fit, decode
 from pipeline.errors import DataError
+from pipeline.export.animation import write_mp4
 from pipeline.networks.feature_extractor import extract, load_feature_extractor, save_feature_extractor
 from pipeline.networks.full_model import Reconstruction, full_model_texts
 from pipeline.networks.wide_resnet import WideResNet
 from pipeline.tensor_files import load_tensors, save_tensors
 from tests.fresh_params import write_fresh_params
-from tests.picture_trees import write_folder
+from tests.picture_trees import picture, write_folder
 from tests.tiny_full_model import photographs, tiny_model
 
 
@@ -55,8 +56,8 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     model = tiny_model()
     save_tensors(folder / "models/full/toybox-car.safetensors", model.state_dict(), full_model_texts(model))
     save_feature_extractor(folder / "models/features/toybox-laptop.safetensors", WideResNet(10, 1, 2), 2.0, {})
-    for name, picture in zip(("car", "van"), photographs(2)[0], strict=True):
-        Image.fromarray(picture.permute(1, 2, 0).contiguous().numpy()).save(parent / f"{name}.png")
+    for name, photograph in zip(("car", "van"), photographs(2)[0], strict=True):
+        Image.fromarray(photograph.permute(1, 2, 0).contiguous().numpy()).save(parent / f"{name}.png")
     return parent
 
 
@@ -168,6 +169,7 @@ def test_oblong_photographs_become_square_as_those_of_the_run_did(
     seen = inferred(project, torch.from_numpy(square.copy()).permute(2, 0, 1)[None])
     pose = json.loads((project / "out/long_pose.json").read_text())
     assert pose["scale"] == pytest.approx(seen.pose.scale[0].item(), abs=1e-5)
+    assert pose["camera_distance"] == tiny_model().config.renderer.camera.distance
     assert pose["azimuth_degrees"] == pytest.approx(math.degrees(seen.pose.azimuth[0]) % 360, abs=1e-3)
 
 
@@ -331,6 +333,25 @@ def test_a_folder_without_reconstructions_is_free_for_any(
     assert "car_pose.json" in reconstruct(project, str(tmp_path / "car.png"), "--outputs", "pose", "--fine-tune")
 
 
+def test_a_folder_of_other_files_keeps_them(project: Path, tmp_path: Path) -> None:
+    write_folder(project / "out", {"car.obj": b"mine"})
+    with pytest.raises(
+        SystemExit, match=r"out holds car\.obj, which is no reconstruction; name a new or an empty folder"
+    ):
+        reconstruct(project, str(tmp_path / "car.png"), "--outputs", "pose")
+    assert [path.read_bytes() for path in (project / "out").iterdir()] == [b"mine"]
+
+
+def test_a_folder_in_the_place_of_an_output_fails_its_photograph_alone(project: Path, tmp_path: Path) -> None:
+    photographs = write_folder(tmp_path / "photographs", {"a.glb/x.png": (tmp_path / "car.png").read_bytes()})
+    shutil.copy(tmp_path / "car.png", photographs / "a.png")
+    shutil.copy(tmp_path / "van.png", photographs / "b.png")
+    with pytest.raises(SystemExit, match=r"a\.png: .*Is a directory"):
+        reconstruct(project, str(photographs), "--outputs", "mesh,pose")
+    assert (project / "out/b.glb").is_file()
+    assert (project / "out/a.glb/x.glb").is_file()
+
+
 def test_photographs_and_what_is_written_do_not_share_a_folder(tmp_path: Path) -> None:
     photographs = write_folder(tmp_path / "photographs", {"car.png": b""})
     for given in (photographs, photographs / "car.png"):
@@ -406,6 +427,30 @@ def test_what_is_wrong_is_one_sentence(
     with pytest.raises(SystemExit, match=r"^error: .*" + message):
         main([*words, "--project", str(project)])
     assert not (project / "out").exists()
+
+
+def test_a_film_that_cannot_be_written_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "encoder").write_text("#!/bin/sh\nhead -c 100 > /dev/null\necho No space left >&2\nexit 1\n")
+    (tmp_path / "encoder").chmod(0o755)
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(tmp_path / "encoder"))
+    with pytest.raises(DataError, match=r"car\.mp4 cannot be written \(No space left\); look at its folder"):
+        write_mp4(tmp_path / "car.mp4", torch.zeros(4, 3, 64, 64), 100)
+    assert not (tmp_path / "car.mp4").exists()
+
+
+def test_a_film_may_be_written_below_a_name_with_a_colon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "12:30").mkdir()
+    monkeypatch.chdir(tmp_path)
+    write_mp4(Path("12:30/car.mp4"), torch.zeros(4, 3, 65, 64), 100)
+    assert cv2.VideoCapture(str(tmp_path / "12:30/car.mp4")).read()[1].shape == (66, 64, 3)
+
+
+def test_closed_streams_stop_nothing(tmp_path: Path) -> None:
+    photographs = write_folder(tmp_path / "photographs", {f"{name}.png": picture() for name in "abc"})
+    words = [sys.executable, "-m", "pipeline.cli", "arrange", str(photographs), "--category", "car", "--out"]
+    ended = subprocess.run(["sh", "-c", 'exec "$@" 2>&-', "sh", *words, str(tmp_path / "mine")], check=False)
+    assert ended.returncode == 0
+    assert len(list((tmp_path / "mine").rglob("*.jpg"))) == 3
 
 
 def test_a_closed_output_is_no_traceback(project: Path) -> None:
@@ -596,6 +641,7 @@ def test_doctor_names_what_is_missing(project: Path, capsys: pytest.CaptureFixtu
     assert [line for line in missing if "photographs of 'toybox'" in line]
     assert any(line.startswith("ok      torch ") for line in lines)
     assert any(line.startswith("ok      model of 'toybox-car'") for line in lines)
+    assert any(line.startswith("ok      features of 'toybox-car'") for line in lines)
 
 
 def test_doctor_needs_no_runs(project: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,6 +2,7 @@
 
 import io
 import struct
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -50,7 +51,7 @@ def middle(pixels: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("fit", ["crop", "pad"])
-@pytest.mark.parametrize("sides", [(640, 480), (480, 640), (640, 620), (65, 64), (1000, 563)])
+@pytest.mark.parametrize("sides", [(640, 480), (480, 640), (640, 620), (65, 64), (1000, 563), (3000, 1700)])
 def test_a_larger_square_shows_what_the_small_one_shows(fit: Fit, sides: tuple[int, int]) -> None:
     x, y = (np.arange(side) / side - 0.5 for side in sides)
     spot = 255 * np.exp(-60 * (y[:, None] ** 2 + x**2))
@@ -60,6 +61,14 @@ def test_a_larger_square_shows_what_the_small_one_shows(fit: Fit, sides: tuple[i
     larger = decode_up_to(stream.getvalue(), "1.png", 128, 32, fit)
     assert len(larger) == min(128, min(sides) if fit == "crop" else max(sides))
     np.testing.assert_allclose(middle(larger), middle(small), atol=0.001)
+
+
+def test_the_square_of_a_panorama_takes_little_memory() -> None:
+    panorama = picture(width=12_000, height=100)
+    tracemalloc.start()
+    decode_up_to(panorama, "1.png", 128, 32, "pad")
+    assert tracemalloc.get_traced_memory()[1] < 12_000**2 // 20
+    tracemalloc.stop()
 
 
 def test_pad_fits_the_long_side_and_continues_the_border() -> None:

@@ -65,8 +65,12 @@ def test_one_table_counts_and_hidden_ones_do_not(tmp_path: Path) -> None:
     [
         (None, r"has no poses\.csv; expected one with the columns file, azimuth_deg, elevation_deg, roll_deg"),
         (b"file,azimuth_deg,elevation_deg\n", r"poses\.csv has no column roll_deg; expected file, azimuth_deg"),
-        (table("train,train/car/1.jpg,north,0,0"), r"poses\.csv, line 2: 'north' is not an angle in degrees"),
-        (table("train,train/car/1.jpg,nan,0,0"), r"poses\.csv, line 2: 'nan' is not an angle in degrees"),
+        (
+            table("train,train/car/1.jpg,north,0,0"),
+            r"poses\.csv, line 2: azimuth_deg is 'north'; expected an angle from",
+        ),
+        (table("train,train/car/1.jpg,nan,0,0"), r"poses\.csv, line 2: azimuth_deg is 'nan'; expected an angle from"),
+        (table("train,train/car/1.jpg,0,200,0"), r"line 2: elevation_deg is '200'; expected an angle from -90 to 90"),
         (table("train,train/car/2.jpg,0,0,0"), r"poses\.csv, line 3: train/car/2\.jpg has a row already; keep one"),
         (table('"' + "x" * 200_000), r"poses\.csv, line 2 cannot be read \(field larger than field limit"),
         ("file,azimuth_deg,höhe".encode("latin-1"), r"poses\.csv is not text in UTF-8; save it as UTF-8"),
