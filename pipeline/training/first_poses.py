@@ -29,6 +29,8 @@ from pipeline.training.azimuths import ConsensusConfig, agree_on_azimuths, bins,
 from pipeline.training.viewpoints import LightConfig, sample_lights
 
 _CHUNK = 250
+_FINEST_MAP = 16
+"""Positions a side at which pictures are compared; finer ones take memory and agree no better."""
 SMALLEST = torch.finfo(torch.float32).tiny
 """Keeps votes finite where all photographs are one, or where nothing votes for an azimuth."""
 
@@ -173,7 +175,9 @@ def _describe(images: Float[Tensor, "N 3 H W"], extractor: FeatureExtractor) -> 
     """
 
     def directions(batch: Float[Tensor, "B 3 H W"]) -> Features:
-        return [functional.normalize(layer.float(), dim=1) for layer in extractor(batch)[2:]]
+        layers = [layer.float() for layer in extractor(batch)[2:]]
+        coarse = [functional.adaptive_avg_pool2d(layer, min(layer.shape[-1], _FINEST_MAP)) for layer in layers]
+        return [functional.normalize(layer, dim=1) for layer in coarse]
 
     return [extract(directions, shown, _CHUNK) for shown in (images, images.flip(-1))]
 
