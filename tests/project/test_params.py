@@ -120,6 +120,7 @@ def test_each_ablation_changes_what_its_name_says() -> None:
         "fixed-base": {"base_learning": None},
         "longer": {"iterations": 2400, "base_roughness": 0.4},
         "sharper": {"size": 64},
+        "sharper-longer": {"iterations": 2400, "size": 64, "base_roughness": 0.2},
         "single-stage": single_stage,
         "single-stage-no-constraints": single_stage | free,
         "no-exploration": {"shapes": None, **dict.fromkeys(counts, 0)},
