@@ -29,11 +29,10 @@ def write_mp4(path: Path, frames: Float[Tensor, "K 3 H W"], milliseconds: int) -
     pixels = _pixels(frames)
     height, width = pixels.shape[1:3]
     shown = ["-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", f"1000/{milliseconds}", "-i", "-"]
-    film = (
-        "-vf scale=ceil(iw/2)*2:ceil(ih/2)*2 -c:v libx264 -pix_fmt yuv420p -crf 25 -f mp4".split()
-    )  # sides become even
+    even = ["-vf", "scale=ceil(iw/2)*2:ceil(ih/2)*2"]
+    film = ["-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "25", "-f", "mp4"]
     with atomic_path(path) as temporary:
-        words = [encoder(), "-y", "-v", "error", *shown, *film, f"file:{temporary}"]
+        words = [encoder(), "-y", "-v", "error", *shown, *even, *film, f"file:{temporary}"]
         ended = subprocess.run(words, input=pixels.tobytes(), capture_output=True, check=False)
         if ended.returncode:
             reason = ended.stderr.decode(errors="replace").strip().rpartition("\n")[2]
