@@ -52,6 +52,10 @@ class Reconstructions(NamedTuple):
     directions: Float[Tensor, "V 3"]
     test_index: Int[Tensor, " B"]
 
+    def at(self, stage: str) -> Snapshot:
+        """Return what one of `STAGES` left."""
+        return self.tuned if stage == "tuned" else self.predicted
+
 
 class Truth(NamedTuple):
     """Ground truth of one split of a category: viewpoints, and the objects where they are known."""

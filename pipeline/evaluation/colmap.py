@@ -12,9 +12,9 @@ from jaxtyping import UInt8
 from torch import Tensor
 from torch.nn import functional
 
-from pipeline.errors import UserError
+from pipeline.errors import DataError, UserError
 from pipeline.evaluation.statistics import Figure, mean_figure
-from pipeline.ranges import Count, Natural
+from pipeline.ranges import Count, Natural, Several
 
 PREFIX = re.compile(r"^([IWEF])\d{8} [\d:.]+ +\d+ (\S+\]) (.*)$")
 """What COLMAP's log puts before a message: level, date, time, thread; then where in its source."""
@@ -39,7 +39,7 @@ class ColmapConfig:
     """
 
     seed: Natural
-    photographs: Count
+    photographs: Several
     enlargement: Count
 
 
@@ -50,8 +50,10 @@ def run_colmap(images: UInt8[Tensor, "N 3 H W"], config: ColmapConfig, folder: P
     fraction of photographs that found a place in the largest model, and what COLMAP `says`: its warnings and errors.
 
     pycolmap brings a compression library that breaks the PNG writers of Pillow and OpenCV in the same process: call
-    this in a process of its own. Raises UserError where pycolmap is not installed.
+    this in a process of its own. Raises UserError where pycolmap is not installed, and DataError for one photograph.
     """
+    if len(images) < 2:
+        raise DataError("COLMAP matches photographs with each other, but there is only one; prepare two photographs")
     pycolmap = _import_pycolmap()
     chosen = _enlarged(images[: config.photographs], config.enlargement)
     pictures, models, database = folder / "pictures", folder / "models", folder / "database.db"

@@ -5,19 +5,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from pipeline.evaluation.alignment import fit_alignment, turn_pose, turn_vertices
-from pipeline.evaluation.artifacts import STAGES, Reconstructions, Snapshot, TrueObjects, Truth
+from pipeline.evaluation.artifacts import STAGES, Reconstructions, TrueObjects, Truth
 from pipeline.evaluation.image_metrics import image_columns, image_figures
 from pipeline.evaluation.multiview import MultiviewConfig
-from pipeline.evaluation.pose_metrics import baseline_figures, pose_columns, pose_figures
+from pipeline.evaluation.pose_metrics import angle_columns, baseline_figures, pose_columns, pose_figures
 from pipeline.evaluation.retrieval import retrieve
 from pipeline.evaluation.shape import iou, vertex_deviation
 from pipeline.evaluation.shape_metrics import ShapeMetricsConfig, TrueShapes, constant_mask_figure, silhouettes
-from pipeline.evaluation.statistics import Figure, mean_figure
+from pipeline.evaluation.statistics import mean_figure
 from pipeline.geometry.camera import Pose, pose_from_tensor
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel
@@ -97,12 +96,12 @@ def evaluate_images(
     Beside them stand what retrieving a training photograph by its colours reaches, and how much shapes differ.
     """
     columns = {
-        stage: image_columns(photographs, getattr(reconstructions, stage).images, extractor, config.batch_size)
+        stage: image_columns(photographs, reconstructions.at(stage).images, extractor, config.batch_size)
         for stage in STAGES
     }
     table = {"test_index": reconstructions.test_index, **_flatten(columns)}
     retrieved = image_columns(photographs, retrieve(photographs, training), extractor, config.batch_size)
-    spread = {stage: mean_figure(vertex_deviation(getattr(reconstructions, stage).vertices)) for stage in STAGES}
+    spread = {stage: mean_figure(vertex_deviation(reconstructions.at(stage).vertices)) for stage in STAGES}
     figures = {
         "reconstruction": image_figures(columns["predicted"], columns["tuned"], retrieved),
         "vertex_deviation": spread,
@@ -131,11 +130,11 @@ def evaluate_truth(
     `training` is the whole training split: what is typical of it does not depend on which pictures the run visited. The
     learned frame is first turned about +y by the angle that suits the recorded poses of those that it did visit best.
     """
-    predicted = {stage: getattr(learned.reconstructions, stage).pose for stage in STAGES}
+    predicted = {stage: learned.reconstructions.at(stage).pose for stage in STAGES}
     by_split = {SPLITS[stage]: pose for stage, pose in predicted.items()}
     estimates = PoseEstimates(learned.training_pose, learned.training_index, by_split)
     angle, figures = measure_poses(training.pose, test.pose, estimates, config)
-    truth = {"truth_azimuth": torch.rad2deg(test.pose.azimuth), "truth_elevation": torch.rad2deg(test.pose.elevation)}
+    truth = {f"truth_{name}": degrees for name, degrees in angle_columns(test.pose).items()}
     columns = {stage: pose_columns(test.pose, turn_pose(pose, angle)) for stage, pose in predicted.items()}
     table = {**truth, **_flatten(columns)}
     if training.objects is not None and test.objects is not None:
@@ -169,20 +168,17 @@ def _evaluate_shape(
     rng = generator(config.seed, "evaluate shape")
     shapes = TrueShapes(test, training, config.shape, rng)
     columns: dict[str, Columns] = {}
-    correlations: dict[str, dict[str, Figure]] = {}
-    for stage in STAGES:
-        reconstruction: Snapshot = getattr(learned.reconstructions, stage)
+    figures: dict[str, Any] = {}
+    for stage, split in SPLITS.items():
+        reconstruction = learned.reconstructions.at(stage)
         vertices = turn_vertices(reconstruction.vertices, angle)
         columns[stage] = shapes.columns(vertices, [learned.reconstructions.faces], rng)
-        correlations[stage] = shapes.proportion_figures(vertices)
         masks = silhouettes(
             reconstruction, learned.reconstructions.faces, learned.reconstructions.directions, learned.renderer
         )
         columns[stage]["mask_iou"] = iou(masks, test.masks)
-    figures: dict[str, Any] = {
-        split: {name: mean_figure(values) for name, values in columns[stage].items()} | correlations[stage]
-        for stage, split in SPLITS.items()
-    }
+        means = {name: mean_figure(values) for name, values in columns[stage].items()}
+        figures[split] = means | shapes.proportion_figures(vertices)
     if learned.final_base is not None:  # single-stage training takes none
         figures["base"] = shapes.base_figures(turn_vertices(learned.base, angle), learned.base_faces, rng)
         final_base = turn_vertices(learned.final_base, angle)

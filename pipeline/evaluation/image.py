@@ -8,13 +8,13 @@ from torch.nn import functional
 WINDOW = 11
 SIGMA = 1.5
 STABILIZERS = (0.01**2, 0.03**2)
-DARKEST_ERROR = 1e-10
+LEAST_ERROR = 1e-10
 
 
 def psnr(first: Float[Tensor, "B 3 H W"], second: Float[Tensor, "B 3 H W"]) -> Float[Tensor, " B"]:
     """Measure the peak signal-to-noise ratio in decibels of images in [0, 1]; identical images get 100."""
     error = (first - second).square().mean((1, 2, 3))
-    return -10 * error.clamp_min(DARKEST_ERROR).log10()
+    return -10 * error.clamp_min(LEAST_ERROR).log10()
 
 
 def ssim(first: Float[Tensor, "B 3 H W"], second: Float[Tensor, "B 3 H W"]) -> Float[Tensor, " B"]:

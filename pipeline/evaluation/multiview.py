@@ -17,12 +17,12 @@ from pipeline.errors import DataError
 from pipeline.evaluation.alignment import fit_alignment
 from pipeline.evaluation.artifacts import Reconstructions, render_tuned
 from pipeline.evaluation.pose import ACCURATE
-from pipeline.evaluation.statistics import mean_figure
+from pipeline.evaluation.statistics import accuracy_figure, mean_figure
 from pipeline.geometry.camera import Pose
 from pipeline.losses.image_distance import feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel
-from pipeline.ranges import Count, Elevation, NonNegative, Range
+from pipeline.ranges import Count, Elevation, Positive, Range, Several
 
 GRID = 4
 Figures = dict[str, Any]
@@ -40,10 +40,10 @@ class MultiviewConfig:
         examples: objects in the picture of a baseline's views.
     """
 
-    objects: Count
+    objects: Several
     step: Annotated[int, Range(1, 359)]
     elevation: Elevation
-    ridge: NonNegative
+    ridge: Positive
     examples: Count
 
     def azimuths(self) -> Float[Tensor, " K"]:
@@ -80,7 +80,7 @@ def multiview_figures(
     over the distance of different objects seen alike; 1 where an object is no more like itself than like another.
     Under `chance` azimuths are guessed and neighbouring views are of different objects; at steps of 50 degrees one
     constant azimuth is within 30 degrees of two views in eight. All figures are means over objects, n counts objects.
-    Raises DataError for fewer than two objects.
+    Raises DataError for fewer than two objects, and for objects that are all the same.
     """
     if len(views) < 2:
         raise DataError("multi-view consistency compares objects, but there is only one; fine-tune two photographs")
@@ -119,9 +119,10 @@ def read_azimuths(
         known, asked = ((part - middle) / spread.clamp_min(1e-6) for part in (known, asked))
         turns = azimuths[half::2].flatten().double()
         targets = torch.stack([turns.sin(), turns.cos()], dim=1)
+        center = targets.mean(0)  # steps that do not divide the circle leave one
         kernel = known @ known.T
         kernel.diagonal().add_(ridge * kernel.diagonal().mean())
-        sine, cosine = (asked @ known.T @ torch.linalg.solve(kernel, targets)).unbind(1)
+        sine, cosine = (asked @ known.T @ torch.linalg.solve(kernel, targets - center) + center).unbind(1)
         read[1 - half :: 2] = torch.atan2(sine, cosine).view_as(read[1 - half :: 2]).to(read)
     return read
 
@@ -129,11 +130,8 @@ def read_azimuths(
 def azimuth_figures(azimuths: Float[Tensor, "B K"], read: Float[Tensor, "B K"]) -> Figures:
     """Summarize errors of azimuths: the fraction within 30 degrees, and the mean error in degrees (chance: 90)."""
     errors = (read - azimuths + math.pi).remainder(2 * math.pi).sub(math.pi).abs()
-    accuracy = mean_figure((errors <= ACCURATE).double().mean(1))
     return {
-        "acc_pi6": accuracy["value"],
-        "n": accuracy["n"],
-        "standard_error": accuracy["standard_error"],
+        **accuracy_figure((errors <= ACCURATE).double().mean(1)),
         "error_degrees": mean_figure(errors.rad2deg().mean(1)),
     }
 
@@ -143,6 +141,8 @@ def _identity_drift(pooled: Sequence[Float[Tensor, "B K _ 1 1"]]) -> tuple[Figur
     others = [layer.roll(1, dims=0) for layer in pooled]
     before, after = ([layer[:, part] for layer in pooled] for part in (slice(None, -1), slice(1, None)))
     between = _distances(pooled, others).mean()
+    if between == 0:
+        raise DataError("identity drift compares different objects, but from each side all of them look exactly alike")
     drift = _distances(before, after).mean(1) / between
     shuffled = _distances(before, [layer[:, 1:] for layer in others]).mean(1) / between
     return mean_figure(drift), mean_figure(shuffled)

@@ -9,19 +9,22 @@ from torch import Tensor
 
 from pipeline.evaluation.alignment import chance_errors, fit_constant
 from pipeline.evaluation.pose import ACCURATE, MODES, error_mode, geodesic_distance, pose_error, rotation, seen_side
-from pipeline.evaluation.statistics import mean_figure, median_figure
+from pipeline.evaluation.statistics import accuracy_figure, mean_figure, median_figure
 from pipeline.geometry.camera import Pose
 
 Columns = dict[str, Tensor]
 Figures = dict[str, Any]
 
 
+def angle_columns(pose: Pose) -> Columns:
+    """List azimuth, elevation and roll in degrees in [-180, 180)."""
+    return {name: _degrees(getattr(pose, name)) for name in ("azimuth", "elevation", "roll")}
+
+
 def pose_columns(truth: Pose, estimate: Pose) -> Columns:
     """Compare aligned estimates with the truth, one row a picture: angles and errors in degrees, mode as an index."""
     return {
-        "azimuth": _degrees(estimate.azimuth),
-        "elevation": _degrees(estimate.elevation),
-        "roll": _degrees(estimate.roll),
+        **angle_columns(estimate),
         "rotation_error": torch.rad2deg(pose_error(truth, estimate)),
         "error_mode": error_mode(truth, estimate),
     }
@@ -45,30 +48,26 @@ def pose_figures(truth: Pose, estimate: Pose, rng: torch.Generator) -> Figures:
 
 def error_figures(errors: Float[Tensor, " B"], rng: torch.Generator) -> Figures:
     """Summarize geodesic errors in radians: fraction within 30 degrees (n, standard error beside it), and median."""
-    accuracy = mean_figure(errors <= ACCURATE)
-    median = median_figure(torch.rad2deg(errors), rng)
     return {
-        "acc_pi6": accuracy["value"],
-        "n": accuracy["n"],
-        "standard_error": accuracy["standard_error"],
-        "median_error_degrees": median,
+        **accuracy_figure(errors <= ACCURATE),
+        "median_error_degrees": median_figure(torch.rad2deg(errors), rng),
     }
 
 
 def baseline_figures(truth: Pose, training: Pose, draws: int, rng: torch.Generator) -> dict[str, Figures]:
     """Measure what needs no picture: `chance` guesses azimuth, `constant` always gives the training split's best pose.
 
-    For chance, n counts pictures and the standard error is that of the pictures' hit rates over all their draws.
+    For chance, n counts pictures, the median is that of all draws of all pictures, and standard errors are those of the
+    pictures' hit rates and median errors.
     """
     guesses = chance_errors(truth, training, draws, rng)
-    hits = mean_figure((guesses <= ACCURATE).double().mean(0))
-    median = median_figure(torch.rad2deg(guesses).quantile(0.5, dim=0), rng)
+    errors = torch.rad2deg(guesses)
+    median = median_figure(errors.quantile(0.5, dim=0), rng)
+    median["value"] = errors.median().item()
     constant = geodesic_distance(rotation(truth), fit_constant(training).expand(len(truth.azimuth), 3, 3))
     return {
         "chance": {
-            "acc_pi6": hits["value"],
-            "n": hits["n"],
-            "standard_error": hits["standard_error"],
+            **accuracy_figure((guesses <= ACCURATE).double().mean(0)),
             "median_error_degrees": median,
         },
         "constant": error_figures(constant, rng),
@@ -76,5 +75,4 @@ def baseline_figures(truth: Pose, training: Pose, draws: int, rng: torch.Generat
 
 
 def _degrees(angle: Float[Tensor, " B"]) -> Float[Tensor, " B"]:
-    """Convert radians to degrees in [-180, 180)."""
     return torch.rad2deg((angle + math.pi) % (2 * math.pi) - math.pi)

@@ -21,13 +21,20 @@ def mean_figure(values: Float[Tensor, " B"] | Bool[Tensor, " B"]) -> Figure:
     return {"value": values.double().mean().item(), "n": count, "standard_error": spread / count**0.5}
 
 
-def correlation_figure(first: Float[Tensor, " B"], second: Float[Tensor, " B"]) -> Figure:
-    """Summarize how far two quantities vary together by their correlation; 0 where one is constant, but for rounding.
+def accuracy_figure(hits: Float[Tensor, " B"] | Bool[Tensor, " B"]) -> dict[str, float | int]:
+    """Summarize how often estimates are right: `acc_pi6`, with n and standard error beside it."""
+    figure = mean_figure(hits)
+    return {"acc_pi6": figure.pop("value"), **figure}
 
-    The standard error is that of large samples from a normal distribution.
+
+def correlation_figure(first: Float[Tensor, " B"], second: Float[Tensor, " B"]) -> Figure:
+    """Summarize how far two quantities vary together by their correlation.
+
+    It is 0 where one is constant, but for rounding, and for one or two samples, which always lie on a line. The
+    standard error is that of large samples from a normal distribution.
     """
     one, other = (values.double() - values.double().mean() for values in (first, second))
-    varies = min(one.std(correction=0), other.std(correction=0)) > ROUNDING
+    varies = len(first) > 2 and min(one.std(correction=0), other.std(correction=0)) > ROUNDING
     correlation = (one @ other / (one.norm() * other.norm())).item() if varies else 0.0
     return {
         "value": correlation,

@@ -6,11 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 import torch
 from torch.nn import functional
 
 from pipeline.datasets.toybox.photograph import PhotographConfig, photograph
 from pipeline.datasets.toybox.toybox import CATEGORIES
+from pipeline.errors import DataError
+from pipeline.evaluation.colmap import ColmapConfig, run_colmap
 from pipeline.files import read_json
 from pipeline.geometry.camera import CameraConfig
 from tests.smoke.tiny_project import ROOT, run
@@ -52,3 +55,9 @@ def test_pictures_of_one_scene_match(tmp_path: Path) -> None:
     figures, _ = _evaluate(pictures, tmp_path)
     assert figures["verified_pairs"] == {"value": 1, "standard_error": 0, "n": 3}
     assert figures["features"]["value"] > 100
+
+
+def test_one_photograph_has_no_pair(tmp_path: Path) -> None:
+    one = torch.zeros(1, 3, 32, 32, dtype=torch.uint8)
+    with pytest.raises(DataError, match="there is only one"):
+        run_colmap(one, ColmapConfig(seed=0, photographs=200, enlargement=1), tmp_path)

@@ -14,7 +14,7 @@ from pipeline.evaluation.pose import (
     rotation,
     seen_side,
 )
-from pipeline.evaluation.pose_metrics import baseline_figures, pose_columns, pose_figures
+from pipeline.evaluation.pose_metrics import angle_columns, baseline_figures, pose_columns, pose_figures
 from pipeline.geometry.camera import CameraConfig, Pose, project
 
 
@@ -154,12 +154,23 @@ def test_columns_are_in_degrees_around_zero() -> None:
     columns = pose_columns(pose(degrees(350)), pose(degrees(340), elevation=5))
     torch.testing.assert_close(columns["azimuth"], torch.tensor([-20.0], dtype=torch.float64))
     torch.testing.assert_close(columns["elevation"], torch.tensor([5.0], dtype=torch.float64))
+    assert angle_columns(pose(degrees(340)))["azimuth"].item() == pytest.approx(-20)
 
 
 def test_constant_row_is_right_where_training_has_its_one_view() -> None:
     truth, training = pose(degrees(*[10] * 3, *[100] * 9)), pose(degrees(*[0] * 20))
     rows = baseline_figures(truth, training, 72, torch.Generator().manual_seed(0))
     assert rows["constant"]["acc_pi6"] == 0.25
+
+
+def test_the_median_of_chance_is_that_of_all_guesses() -> None:
+    """From above, guesses miss by less than 90 degrees, from the side they miss evenly: medians do not average."""
+    truth = pose(degrees(*[0] * 30), elevation=0)._replace(elevation=degrees(*[0] * 20, *[89] * 10))
+    rng = torch.Generator().manual_seed(0)
+    row = baseline_figures(truth, truth, 400, rng)["chance"]["median_error_degrees"]
+    pooled = torch.rad2deg(chance_errors(truth, truth, 400, torch.Generator().manual_seed(0)))
+    assert row["value"] == pytest.approx(pooled.median().item())
+    assert abs(row["value"] - pooled.quantile(0.5, dim=0).median().item()) > 1
 
 
 def test_constant_row_beats_chance_where_views_are_biased() -> None:

@@ -33,7 +33,8 @@ def test_correlation_of_what_varies_together_against_each_other_and_not_at_all()
     assert abs(half["standard_error"] - 0.5 / 2000**0.5) < 2e-3
     for constant in (torch.zeros(2000), 1 + 1e-7 * values):
         assert correlation_figure(values, constant)["value"] == 0
-    assert correlation_figure(values[:1], values[:1])["value"] == 0
+    for count in (1, 2):
+        assert correlation_figure(values[:count], values[:count])["value"] == 0, "two samples always lie on a line"
 
 
 def test_standard_error_of_a_normal_median() -> None:

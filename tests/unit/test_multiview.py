@@ -82,11 +82,25 @@ def test_azimuths_are_read_by_ridge_regression() -> None:
     spread, middle = torch.std_mean(known, dim=0)
     known, asked = (known - middle) / spread, (features[1::2].flatten(0, 1) - middle) / spread
     turns = azimuths[0::2].flatten().double()
+    targets = torch.stack([turns.sin(), turns.cos()], 1)
     strength = 0.1 * known.square().sum(dim=1).mean()
     moments = known.T @ known + strength * torch.eye(6)
-    sine, cosine = (asked @ torch.linalg.solve(moments, known.T @ torch.stack([turns.sin(), turns.cos()], 1))).unbind(1)
+    slopes = torch.linalg.solve(moments, known.T @ (targets - targets.mean(0)))
+    sine, cosine = (asked @ slopes + targets.mean(0)).unbind(1)
     read = read_azimuths(features, azimuths, 0.1)[1::2].flatten()
     torch.testing.assert_close(read, torch.atan2(sine, cosine).float())
+
+
+def test_steps_that_do_not_divide_the_circle_are_read_exactly() -> None:
+    azimuths = CONFIG.azimuths().expand(COUNT, -1)
+    turns = torch.stack([azimuths.sin(), azimuths.cos()], dim=2)
+    assert azimuth_figures(azimuths, read_azimuths(turns, azimuths, 1e-6))["error_degrees"]["value"] < 1e-3
+
+
+def test_objects_that_are_all_the_same_have_no_drift() -> None:
+    one = torch.rand(8, 3, 32, 32, generator=generator(0))
+    with pytest.raises(DataError, match="exactly alike"):
+        multiview_figures(one.expand(COUNT, -1, -1, -1, -1), tiny_extractor(), CONFIG, 50)
 
 
 def test_errors_know_that_angles_close_the_circle() -> None:
