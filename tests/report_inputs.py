@@ -73,6 +73,7 @@ def inputs(truth: bool) -> ReportInputs:
         table |= {"truth_azimuth": ["0", "90", "180", "270"], "azimuth_predicted": ["0", "-90", "170", "0"]}
         table |= {"rotation_error_predicted": ["0", "180", "10", "90"], "rotation_error_tuned": ["0", "5", "10", "15"]}
         table["error_mode_predicted"] = ["correct", "flipped", "correct", "other"]
+        table["error_mode_tuned"] = ["correct", "front_back", "correct", "correct"]
     photographs = torch.tensor([1.0, 0, 1])[:, None, None].expand(COUNT, 3, 16, 16)
     front = ((torch.arange(16) + 0.5) / 16 - 0.5).abs() < 0.25
     textures = torch.where(front[:, None], ORANGE, BLUE).T[:, None].expand(COUNT, 3, 16, 16)

@@ -9,8 +9,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import NamedTuple
 
-WIDTH, HEIGHT = 420, 260
-LEFT, RIGHT, TOP, BOTTOM = 56, 22, 12, 44
+WIDTH, HEIGHT = 420, 280
+LEFT, RIGHT, TOP, BOTTOM = 88, 22, 12, 54
 COLORS, DASHES = 8, 5
 
 Point = tuple[float, float]
@@ -118,17 +118,17 @@ def _grid(x_axis: Axis, y_axis: Axis) -> list[str]:
     for tick in y_axis.ticks:
         y = _y(tick, y_axis)
         parts.append(f'<line class="grid" x1="{LEFT}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}"/>')
-        parts.append(f'<text class="tick" x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{tick:.6g}</text>')
+        parts.append(f'<text class="tick" x="{LEFT - 6}" y="{y + 5:.1f}" text-anchor="end">{tick:.6g}</text>')
     for tick in x_axis.ticks:
         x = _x(tick, x_axis)
-        parts.append(f'<text class="tick" x="{x:.1f}" y="{bottom + 16}" text-anchor="middle">{tick:.6g}</text>')
+        parts.append(f'<text class="tick" x="{x:.1f}" y="{bottom + 20}" text-anchor="middle">{tick:.6g}</text>')
     parts.append(f'<line class="axis" x1="{LEFT}" x2="{right}" y1="{bottom}" y2="{bottom}"/>')
     x_middle = (LEFT + right) / 2
     parts.append(
         f'<text class="name" x="{x_middle}" y="{HEIGHT - 8}" text-anchor="middle">{escape(x_axis.label)}</text>'
     )
-    turned = f'transform="rotate(-90 14 {middle})"'
-    parts.append(f'<text class="name" x="14" y="{middle}" text-anchor="middle" {turned}>{escape(y_axis.label)}</text>')
+    turned = f'transform="rotate(-90 16 {middle})"'
+    parts.append(f'<text class="name" x="16" y="{middle}" text-anchor="middle" {turned}>{escape(y_axis.label)}</text>')
     return parts
 
 

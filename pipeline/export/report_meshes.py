@@ -31,7 +31,7 @@ def reconstruction_exhibits(
         texture, pose = found.textures[position], found.tuned.pose
         mesh = seam.unwrap(found.tuned.vertices[position], texture.shape[-1])
         photograph = data_uri(gallery.photographs[position])
-        pictures = [(photograph, "photograph"), (data_uri(found.tuned.images[position]), "reconstruction")]
+        pictures = [(photograph, "photograph"), (data_uri(found.tuned.images[position]), "fine-tuned")]
         exhibits.append(
             Exhibit(
                 key=f"{anchor}-{position}",

@@ -19,6 +19,12 @@ ROW_NAMES = {
 }
 LINE_POINTS = 120
 RETRIEVED = "training photograph of the same colours"
+SHAPES = (
+    "IoU is the part that two shapes, or two masks, share of what they cover together: 1 where they are the same. "
+    "Chamfer-L1 is the mean distance between two surfaces, in a cube of side 1: lower is better. Shapes are compared "
+    "after each is scaled into that cube; the correlations say whether objects that are wide or high for their length "
+    "are reconstructed so. The constant is the one shape, or mask, that suits the training split best."
+)
 ANGLE_TICKS = (-180, -90, 0, 90, 180)
 
 
@@ -28,20 +34,32 @@ def headline(figures: Mapping[str, Any]) -> list[Tile]:
     before, after = (pictures[stage]["feature_distance"]["value"] for stage in ("predicted", "tuned"))
     improved, similarity = pictures["improved"], pictures["tuned"]["ssim"]
     tiles = [
-        Tile(f"{improved['value']:.1%}", "", "improved by fine-tuning", f"feature distance {before:.3f} → {after:.3f}"),
-        _tile(similarity, "structural similarity", f"{pictures['predicted']['ssim']['value']:.3f} before fine-tuning"),
+        Tile(
+            f"{improved['value']:.1%}",
+            "",
+            "of pictures improved by fine-tuning",
+            f"feature distance {before:.1f} → {after:.1f}",
+        ),
+        _tile(
+            similarity,
+            "structural similarity, fine-tuned",
+            f"{pictures['predicted']['ssim']['value']:.3f} before fine-tuning",
+        ),
     ]
     if "pose" not in figures:
         return tiles
     pose = figures["pose"]
     accuracy = {"value": pose["test"]["acc_pi6"], "standard_error": pose["test"]["standard_error"]}
     chance, constant = (f"{name} {pose[name]['acc_pi6']:.3f}" for name in BASELINES)
-    tiles.insert(0, _tile(accuracy, "of poses within 30°", f"{chance} · {constant} · n = {pose['test']['n']}"))
+    tuned = f"{pose['test_tuned']['acc_pi6']:.3f} fine-tuned"
+    note = f"{tuned} · {chance} · {constant} · n = {pose['test']['n']}"
+    tiles.insert(0, _tile(accuracy, "of predicted poses within 30°", note))
     if "shape" not in figures:
         return tiles
     shape = figures["shape"]
     constant_shape, constant_mask = (shape["constant"][name]["value"] for name in ("voxel_iou", "mask_iou"))
-    tiles.insert(1, _tile(shape["test"]["mask_iou"], "mask IoU", f"constant {constant_mask:.3f}"))
+    tuned = f"{shape['test_tuned']['mask_iou']['value']:.3f} fine-tuned"
+    tiles.insert(1, _tile(shape["test"]["mask_iou"], "mask IoU, predicted", f"{tuned} · constant {constant_mask:.3f}"))
     if "final_base" in shape:  # which single-stage training does not have
         volume = shape["final_base"]["voxel_iou"]
         name = "volume IoU of the base shape after full training"
@@ -63,13 +81,13 @@ def pose_section(figures: Mapping[str, Any], rows: Mapping[str, list[str]]) -> l
         "A pose counts as right within 30 degrees of rotation. The learned frame is turned about the vertical axis by "
         f"{figures['alignment']['degrees']:.0f} degrees to fit the true poses of the training split. Chance guesses "
         "the azimuth; the constant is the one pose that suits the training split best. Wrong poses are flipped where a "
-        "half turn mends them, mirrored where they fit the mirrored picture, front back where they fit with front and "
-        "back exchanged. The seen side is which of front, left, rear and right faces the camera; front or side asks "
-        "only whether that is an end or a flank."
+        "half turn mends them, mirrored where they fit the mirrored picture, front for back where they fit with "
+        "these two exchanged. The seen side is which of front, left, rear and right faces the camera; front or side "
+        "asks only whether that is an end or a flank."
     )
     body = grid("charts", charts) + pose_table(figures["pose"])
     if "shape" in figures:
-        body += "<h3>Shapes</h3>" + shape_table(figures["shape"])
+        body += f"<h3>Shapes</h3><p>{SHAPES}</p>{shape_table(figures['shape'])}"
     return [Section("poses", "Poses and shapes", introduction, body)]
 
 
@@ -83,14 +101,18 @@ def azimuth_chart(rows: Mapping[str, list[str]]) -> str:
         "mirrored": [((-180, 180), (180, -180))],
         "front for back": [((-180, 0), (0, -180)), ((0, 180), (180, 0))],
     }
-    axes = Axis(-180, 180, ANGLE_TICKS, "true azimuth in degrees"), Axis(-180, 180, ANGLE_TICKS, "predicted azimuth")
+    axes = (
+        Axis(-180, 180, ANGLE_TICKS, "true azimuth in degrees"),
+        Axis(-180, 180, ANGLE_TICKS, "predicted azimuth in degrees"),
+    )
     return scatter(list(zip(truth, estimates, strict=True)), guides, axes)
 
 
 def pose_table(pose: Mapping[str, Any]) -> str:
     """Lay out one row for each split, chance and constant last."""
     modes = ("flipped", "mirrored", "front_back", "other", "seen_side", "front_or_side")
-    header = ["poses", "within 30°", "median error", *(_words(mode) for mode in modes), "n"]
+    names = ("flipped", "mirrored", "front for back", "other", "seen side", "front or side")
+    header = ["poses", "within 30°", "median error, °", *names, "n"]
     rows = []
     for name in (*ROW_NAMES, *BASELINES):
         if name in pose:
@@ -116,16 +138,21 @@ def shape_table(shape: Mapping[str, Any]) -> str:
 def curve_section(curves: Mapping[str, Mapping[str, list[str]]]) -> Section:
     """Plot every column of every stage's curve over the iteration, one line for each seed where there are several.
 
-    A stage that trained nothing has a curve without rows and is left out.
+    A stage that trained nothing has a curve without rows and is left out, and so are losses that are not in use, which
+    are 0 throughout.
     """
     parts = []
     for stage, columns in curves.items():
         if not columns["iteration"]:
             continue
-        names = [name for name in columns if name not in ("iteration", "seed")]
+        names = [name for name in columns if name not in ("iteration", "seed") and any(map(float, columns[name]))]
         charts = [line_chart(seed_lines(columns, name), "iteration", _words(name)) for name in names]
         parts.append(f"<h3>{escape(_words(stage))}</h3>{grid('charts', charts)}")
-    return Section("curves", "Training curves", "Losses and accuracies as recorded during training.", "".join(parts))
+    introduction = (
+        "Losses and accuracies as recorded during training; terms of a loss stand here without their weights of "
+        "params.yaml. Not all of them fall: two networks work against each other on the view prior."
+    )
+    return Section("curves", "Training curves", introduction, "".join(parts))
 
 
 def seed_lines(columns: Mapping[str, list[str]], name: str) -> dict[str, list[Point]]:
@@ -158,7 +185,12 @@ def metrics_section(figures: Mapping[str, Any], stage_figures: Mapping[str, Mapp
             for label, value, error, n in figure_rows(values)
         ]
         body += folded(_words(name), table(["figure", "value", "standard error", "n"], lines))
-    introduction = "Every figure the stages wrote; kato3d runs puts those of all runs side by side."
+    introduction = (
+        "Reconstructions beside the photographs: distance of their features (lower is better), peak signal-to-noise "
+        "ratio and structural similarity (higher is better). Below is every figure that the stages wrote; fine-tuning "
+        "measures in the precision that it trains in, so that its distances differ a little from those of evaluation. "
+        "kato3d runs puts those of all runs side by side."
+    )
     return Section("metrics", "All figures", introduction, body)
 
 

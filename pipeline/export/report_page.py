@@ -32,7 +32,8 @@ class Tile(NamedTuple):
 
 def page(title: str, introduction: str, tiles: Sequence[Tile], sections: Sequence[Section]) -> str:
     """Compose a page that needs nothing beside it: style, script and pictures stand inside."""
-    links = "".join(f'<a href="#{section.anchor}">{escape(section.heading)}</a>' for section in sections)
+    links = [f'<a href="#{section.anchor}">{escape(section.heading)}</a>' for section in sections]
+    contents = f"<nav>{''.join(links)}</nav>" if len(links) > 1 else ""
     heads = "".join(
         f'<div class="tile"><b>{escape(tile.value)} <i>{escape(tile.error)}</i></b><span>{escape(tile.label)}</span>'
         f"<small>{escape(tile.note)}</small></div>"
@@ -48,7 +49,7 @@ def page(title: str, introduction: str, tiles: Sequence[Tile], sections: Sequenc
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         f"<title>{escape(title)}</title><style>{STYLE}</style></head><body><main>"
-        f'<header><h1>{escape(title)}</h1><p class="lead">{escape(introduction)}</p><nav>{links}</nav></header>'
+        f'<header><h1>{escape(title)}</h1><p class="lead">{escape(introduction)}</p>{contents}</header>'
         f'<div class="tiles">{heads}</div>{parts}</main></body></html>\n'
     )
 
@@ -86,9 +87,10 @@ def captioned(content: str, caption: str) -> str:
     return f"<figure>{content}<figcaption>{caption}</figcaption></figure>"
 
 
-def four(addresses: Sequence[str], names: Sequence[str]) -> str:
-    """Show four small pictures side by side over their names."""
-    pictures = "".join(image(address, name, pixels=True) for address, name in zip(addresses, names, strict=True))
+def four(addresses: Sequence[str], names: Sequence[str], title: str) -> str:
+    """Show four small pictures side by side over their names; `title` says what all of them show."""
+    described = zip(addresses, names, strict=True)
+    pictures = "".join(image(address, f"{title}, {name}", pixels=True) for address, name in described)
     return f'<div class="four">{pictures}{"".join(f"<span>{escape(name)}</span>" for name in names)}</div>'
 
 

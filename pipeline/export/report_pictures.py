@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from pipeline.evaluation.artifacts import Reconstructions, render_tuned
+from pipeline.evaluation.artifacts import STAGES, Reconstructions, render_tuned
 from pipeline.export.picture import data_uri, strip
 from pipeline.export.report_page import Section, card, four, grid, image
 from pipeline.export.viewer import turn_link
@@ -84,9 +84,10 @@ def base_shape_section(views: Float[Tensor, "S 4 4 H W"], captions: Sequence[str
         linked = f"{caption} · {turn_link(f'seed-{seed}')}"
         items.append(card(picture, linked, "chosen" if seed == chosen else ""))
     introduction = (
-        "One base shape a seed, seen from the front, the front corner, the side and the rear corner. "
-        "The score is the distance of fresh renderings from the photographs in feature space: no label takes part in "
-        "it, and the lowest is chosen unless a seed is named (`chosen` under base_shapes in params.yaml)."
+        "One base shape a seed, seen from the front, the front corner, the side and the rear corner; which end is "
+        "called the front is arbitrary. The score is the distance of fresh renderings from the photographs in feature "
+        "space: no label takes part in it, and the lowest is chosen unless params.yaml names a seed (chosen, under "
+        "base_shapes)."
     )
     return Section("base-shapes", "Base shapes", introduction, grid("seeds", items))
 
@@ -107,28 +108,33 @@ def example_section(
     other_view: float,
 ) -> Section:
     """Show photographs beside their reconstructions, with the feature distance before and after fine-tuning."""
-    names = ["input", "reconstruction", "fine-tuned", "other view"]
+    names = ["photograph", "reconstruction", "fine-tuned", "other view"]
     items = []
     for position, renderings in zip(index.tolist(), gallery.renderings(index, other_view), strict=True):
         pictures = [gallery.photographs[position], *renderings]
-        caption = f"test picture {table['test_index'][position]} · {example_figures(table, position)}"
-        caption += f" · {turn_link(f'{anchor}-{position}')}"
-        items.append(card(four([data_uri(picture) for picture in pictures], names), caption))
+        title = f"test picture {table['test_index'][position]}"
+        caption = f"{title} · {example_figures(table, position)} · {turn_link(f'{anchor}-{position}')}"
+        items.append(card(four([data_uri(picture) for picture in pictures], names, title), caption))
     introduction = (
         f"The other view is the fine-tuned object turned by {other_view:g} degrees. "
-        "Distances are in feature space, before and after fine-tuning."
+        "Distances are in feature space, before and after fine-tuning, and so are the angles by which a pose is wrong, "
+        "where the true one is known."
     )
     return Section(anchor, heading, introduction, grid("examples", items))
 
 
 def example_figures(table: Mapping[str, list[str]], position: int) -> str:
-    """Say a picture's feature distance before and after fine-tuning and, where it is known, the error of its pose."""
-    before, after = (float(table[f"feature_distance_{stage}"][position]) for stage in ("predicted", "tuned"))
-    figures = f"distance {before:.3f} → {after:.3f}"
+    """Say a picture's feature distance and, where it is known, its pose's error, before and after fine-tuning."""
+    distances = [f"{float(table[f'feature_distance_{stage}'][position]):.1f}" for stage in STAGES]
+    figures = f"distance {' → '.join(distances)}"
     if "rotation_error_predicted" in table:
-        error = float(table["rotation_error_predicted"][position])
-        figures += f" · {error:.0f}° off ({table['error_mode_predicted'][position].replace('_', ' ')})"
+        figures += f" · {' → '.join(_pose_error(table, position, stage) for stage in STAGES)}"
     return figures
+
+
+def _pose_error(table: Mapping[str, list[str]], position: int, stage: str) -> str:
+    error, mode = float(table[f"rotation_error_{stage}"][position]), table[f"error_mode_{stage}"][position]
+    return f"{error:.0f}° off ({mode.replace('_', ' for ')})"
 
 
 def step_section(gallery: Gallery, index: Int[Tensor, " K"], numbers: Sequence[str]) -> Section:

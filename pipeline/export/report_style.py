@@ -24,7 +24,7 @@ nav { display: flex; flex-wrap: wrap; gap: .3rem 1.1rem; font-size: .9rem; margi
 a { color: var(--accent); }
 .tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(190px, 1fr)); gap: .9rem; margin: 1.6rem 0; }
 .tile { background: var(--card); border: 1px solid var(--line); border-radius: 12px; padding: .9rem 1.1rem; }
-.tile b { display: block; font-size: 1.9rem; font-weight: 650; line-height: 1.2; font-variant-numeric: tabular-nums; }
+.tile b { display: block; font-size: 1.7rem; font-weight: 650; line-height: 1.2; font-variant-numeric: tabular-nums; }
 .tile i { font-size: .95rem; font-style: normal; font-weight: 400; color: var(--soft); white-space: nowrap; }
 .tile span { font-size: .9rem; } .tile small { display: block; font-size: .8rem; margin-top: .3rem; }
 .scroll { overflow-x: auto; margin: .6rem 0 1.2rem; }
@@ -33,7 +33,8 @@ th, td { padding: .38rem .9rem .38rem 0; text-align: right; border-bottom: 1px s
 th { font-weight: 600; color: var(--soft); } th:first-child, td:first-child { text-align: left; }
 td small { color: var(--soft); }
 .runs th { white-space: normal; vertical-align: bottom; } .runs td small { display: block; }
-.runs :is(th, td):first-child { position: sticky; left: 0; background: var(--paper); }
+:is(th, td):first-child { position: sticky; left: 0; background: var(--paper);
+  min-width: 8.5rem; white-space: normal; overflow-wrap: anywhere; }
 tr.baseline td { color: var(--soft); font-style: italic; }
 details { border-top: 1px solid var(--line); padding: .6rem 0; } summary { cursor: pointer; font-weight: 600; }
 img { display: block; max-width: 100%; } .pixels { image-rendering: pixelated; }
@@ -46,13 +47,13 @@ figcaption { font-size: .82rem; margin-top: .4rem; font-variant-numeric: tabular
 .chosen { border: 2px solid var(--accent); } .chosen figcaption b { color: var(--accent); }
 .examples { --least: 320px; }
 .four { display: grid; grid-template-columns: repeat(4, minmax(0, 1fr)); gap: 5px; }
-.four span { font-size: .7rem; color: var(--soft); text-align: center; line-height: 1.2; }
+.four span { font-size: .76rem; color: var(--soft); text-align: center; line-height: 1.2; }
 .look { display: grid; grid-template-columns: minmax(0, 3fr) minmax(0, 2fr); gap: 1.2rem; align-items: start; }
 .stage { background: radial-gradient(var(--card) 40%, var(--paper)); border: 1px solid var(--line); border-radius: 12px;
   overflow: hidden; }
 .stage canvas { display: block; width: 100%; aspect-ratio: 4 / 3; cursor: grab; touch-action: pan-y pinch-zoom;
   border-radius: 12px; outline-offset: -3px; }
-.stage canvas:active { cursor: grabbing; } .problem { padding: 0 1rem; }
+.stage canvas:active { cursor: grabbing; } .stage canvas[hidden] { display: none; } .problem { padding: 0 1rem; }
 .shown { font-size: 1.15rem; font-weight: 650; margin: 0 0 .5rem; }
 .beside p { font-size: .875rem; color: var(--soft); }
 .pair { display: grid; grid-template-columns: 1fr 1fr; gap: .7rem; margin: 0 0 .5rem; }
@@ -72,7 +73,7 @@ button[aria-pressed=true] { border-color: var(--accent); box-shadow: inset 0 0 0
 .shelf { display: flex; gap: .5rem; overflow-x: auto; padding: 4px; margin: 1rem -4px 0; }
 .shelf legend { font-weight: 600; padding: 0 4px .2rem; }
 .choice { flex: none; width: 76px; border: 1px solid var(--line); border-radius: 8px; background: var(--card);
-  padding: 4px; cursor: pointer; position: relative; font-size: .7rem; line-height: 1.25; text-align: center;
+  padding: 4px; cursor: pointer; position: relative; font-size: .76rem; line-height: 1.25; text-align: center;
   color: var(--soft); }
 .choice input { position: absolute; opacity: 0; inset: 0; margin: 0; width: 100%; height: 100%; cursor: pointer; }
 .choice img { width: 100%; aspect-ratio: 1; border-radius: 5px; image-rendering: pixelated; margin-bottom: 3px; }
@@ -83,7 +84,7 @@ button[aria-pressed=true] { border-color: var(--accent); box-shadow: inset 0 0 0
 .strip { overflow-x: auto; } .strip img { height: 96px; max-width: none; }
 .chart { background: var(--card); border: 1px solid var(--line); border-radius: 12px; padding: .6rem; }
 svg { display: block; width: 100%; height: auto; }
-svg text { font-size: 12px; fill: var(--soft); } svg .name { font-size: 13px; fill: var(--ink); }
+svg text { font-size: 15px; fill: var(--soft); } svg .name { font-size: 16px; fill: var(--ink); }
 .grid { stroke: var(--line); } .axis { stroke: var(--soft); }
 polyline { fill: none; stroke-width: 1.8; stroke-linejoin: round; } .guide { stroke-width: 1.8; }
 .dash-1 { stroke-dasharray: 8 4; } .dash-2 { stroke-dasharray: 2 3; } .dash-3 { stroke-dasharray: 8 3 2 3; }

@@ -31,6 +31,7 @@
     } catch {
       find('.problem').textContent = 'This browser shows no 3D: it offers no WebGL.';
       find('.problem').hidden = false;
+      canvas.hidden = true;
       return;
     }
     renderer.outputEncoding = THREE.sRGBEncoding;
@@ -145,8 +146,10 @@
   document.addEventListener('click', event => {
     const link = event.target.closest('[data-exhibit]');
     if (!link) return;
+    event.preventDefault(); // following the link would take the focus away again
     spin(false);
     choose(choices.find(choice => choice.value === link.dataset.exhibit));
+    viewer.scrollIntoView();
     canvas.focus({ preventScroll: true });
   });
   canvas.addEventListener('webglcontextrestored', draw);

@@ -20,7 +20,9 @@ LIBRARY_END = "THREE.GLTFLoader=GLTFLoader;})();"
 SURFACES = ("texture", "clay", "polygons")
 INTRODUCTION = (
     "Every mesh as it is exported. Choose one, then drag it, move the sliders, or press arrow keys while it has the "
-    "focus. A reconstruction is first seen from the viewpoint estimated for its photograph; reset view goes back there."
+    "focus; a finger turns it sideways, the slider tilts it. A reconstruction is first seen from the viewpoint "
+    "estimated for its photograph; reset view goes back there. At azimuth 0° the camera faces what the model calls the "
+    "front, which may be either end."
 )
 
 

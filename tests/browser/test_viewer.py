@@ -8,7 +8,7 @@ import numpy
 import pytest
 import torch
 from PIL import Image
-from playwright.sync_api import Browser, BrowserContext, Locator, Page
+from playwright.sync_api import Browser, BrowserContext, Locator, Page, expect
 
 from pipeline.cli.gallery import write_gallery
 from pipeline.cli.photographs import Target
@@ -204,6 +204,18 @@ def test_a_card_leads_to_its_mesh_and_a_shape_without_colours_is_clay(open_page:
     assert "score 0.5000 chosen · before" in page.locator(".beside:visible").inner_text()
 
 
+@pytest.mark.parametrize("follow", ["click", "Enter"])
+def test_arrow_keys_turn_the_mesh_that_a_card_led_to(open_page: Open, follow: str) -> None:
+    page = open_page(**STILL)
+    link = page.locator("a[data-exhibit=seed-1]")
+    link.click() if follow == "click" else link.press(follow)
+    page.wait_for_timeout(200)  # a followed link takes the focus only now
+    azimuth, elevation = map(float, angles(page))
+    page.keyboard.press("ArrowRight")
+    assert tuple(map(float, angles(page))) == (azimuth + 5, elevation)
+    expect(page.locator("canvas")).to_be_in_viewport(ratio=0.9)
+
+
 TAKING_OVER: dict[str, Callable[[Page], None]] = {
     "button": lambda page: page.get_by_role("button", name="spin").click(),
     "key": lambda page: page.locator("canvas").press("ArrowLeft"),
@@ -251,6 +263,7 @@ def test_a_browser_without_webgl_says_so(chromium: Browser, address: str) -> Non
     sentence = page.get_by_text("it offers no WebGL")
     sentence.wait_for()
     assert sentence.is_visible()
+    assert page.locator("canvas").is_hidden()
     context.close()
 
 

@@ -104,7 +104,7 @@ def test_rows_and_charts_tell_before_from_after_fine_tuning(tmp_path: Path) -> N
     assert rows["reconstruction"] == ["0.500", "20.000", "0.500"]
     assert rows["fine-tuned"] == ["0.400", "22.000", "0.600"]
     assert rows["training photograph of the same colours"] == ["0.700", "15.000", "0.300"]
-    assert "distance 6.000 → 1.000 · 180° off (flipped)" in text
+    assert "distance 6.0 → 1.0 · 180° off (flipped) → 5° off (front for back)" in text
     errors = text[text.index('aria-label="share of pictures over rotation error in degrees"') :]
     drawing, legend = errors.split('<div class="legend">')[:2]
     assert re.findall(r"</svg>([\w-]+)</span>", legend)[:2] == ["predicted", "fine-tuned"]
@@ -131,11 +131,11 @@ def test_rows_of_poses_and_shapes_have_their_own_figures() -> None:
 def test_headline_compares_fine_tuned_pictures_with_those_before() -> None:
     notes = {tile.label: (tile.value, tile.note) for tile in headline(inputs(truth=True).figures)}
     assert notes == {
-        "of poses within 30°": ("0.500", "chance 0.150 · constant 0.300 · n = 4"),
+        "of predicted poses within 30°": ("0.500", "0.750 fine-tuned · chance 0.150 · constant 0.300 · n = 4"),
         "volume IoU of the base shape after full training": ("0.550", "constant 0.400"),
-        "mask IoU": ("0.700", "constant 0.450"),
-        "improved by fine-tuning": ("75.0%", "feature distance 0.500 → 0.400"),
-        "structural similarity": ("0.600", "0.500 before fine-tuning"),
+        "mask IoU, predicted": ("0.700", "0.750 fine-tuned · constant 0.450"),
+        "of pictures improved by fine-tuning": ("75.0%", "feature distance 0.5 → 0.4"),
+        "structural similarity, fine-tuned": ("0.600", "0.500 before fine-tuning"),
     }
 
 
