@@ -82,7 +82,8 @@ def _add_reconstruct(add: Callable[..., ArgumentParser], project: ArgumentParser
         type=Path,
         nargs="+",
         metavar="PHOTO",
-        help="a photograph, or a folder: RGB, at least as large as the model's pictures; -NAME is written ./-NAME",
+        help="a photograph, or a folder: in colour (RGB), at least as large as the model's pictures; -NAME is written "
+        "./-NAME",
     )
     reconstruct.add_argument("--run", help="whose model; default: the first run in params.yaml")
     reconstruct.add_argument("--out", type=Path, required=True, help="folder to write to")
@@ -90,7 +91,7 @@ def _add_reconstruct(add: Callable[..., ArgumentParser], project: ArgumentParser
         "--outputs",
         type=_outputs,
         default="mesh,picture,turntable,pose",
-        help="of mesh,picture,turntable,video,pose; default: %(default)s",
+        help="what to write: some of mesh,picture,turntable,video,pose, with commas between; default: %(default)s",
     )
     reconstruct.add_argument(
         "--fine-tune",

@@ -29,7 +29,7 @@ a { color: var(--accent); }
 .tile span { font-size: .9rem; } .tile small { display: block; font-size: .8rem; margin-top: .3rem; }
 .scroll { overflow-x: auto; margin: .6rem 0 1.2rem; }
 table { border-collapse: collapse; font-size: .9rem; font-variant-numeric: tabular-nums; min-width: 26rem; }
-th, td { padding: .38rem .9rem .38rem 0; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap; }
+th, td { padding: .38rem .6rem .38rem 0; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap; }
 th { font-weight: 600; color: var(--soft); } th:first-child, td:first-child { text-align: left; }
 td small { color: var(--soft); }
 .runs th { white-space: normal; vertical-align: bottom; } .runs td small { display: block; }
