@@ -211,7 +211,7 @@ TABLES: dict[str, Table | Confusion] = {
     ),
     "sharper": Table(
         "",
-        r"(toybox-car|toybox64-car-sharper|stanford-car|stanford64-car-sharper(-longer)?)",
+        r"(toybox-car|toybox-horse|toybox64-(car|horse)-sharper|stanford-car|stanford64-car-sharper(-longer)?)",
         {
             "views right": "pose.test.acc_pi6",
             "fine-tuned": "pose.test_tuned.acc_pi6",
