@@ -9,7 +9,14 @@ from torch import Tensor
 
 from pipeline.seeding import generator
 from pipeline.training.azimuths import ConsensusConfig
-from pipeline.training.first_poses import FirstPosesConfig, count_votes, cut_to_box, first_poses
+from pipeline.training.first_poses import (
+    FirstPosesConfig,
+    _rendered_poses,
+    count_votes,
+    cut_to_box,
+    first_poses,
+    read_poses,
+)
 from pipeline.training.warm_up import warm_up
 from tests.tiny_full_model import TRAINING, photographs, photographs_of, tiny_extractor, tiny_model, tiny_scenes
 
@@ -72,3 +79,18 @@ def test_votes_find_the_axis_and_their_consensus_the_front() -> None:
     assert (consensus.abs() > within_30_degrees).float().mean() > 0.75  # chance: 1/3
     assert (consensus > within_30_degrees).float().mean() > 0.45  # chance: 1/6
     assert (consensus > within_30_degrees).float().mean() > (votes > within_30_degrees).float().mean()
+
+
+@pytest.mark.parametrize("reach", [1.0, 0.35])
+def test_renderings_cover_the_elevations_and_as_much_of_the_rest_as_asked(reach: float) -> None:
+    poses = _rendered_poses(tiny_model(), replace(CONFIG, pose_reach=reach), generator(0))
+    assert 0.95 * reach < poses[:, 3:].abs().max() <= reach
+    assert poses[:, 2].abs().max() > 0.95
+
+
+def test_boxes_stay_as_the_networks_read_them() -> None:
+    model, scenes, (images, _) = tiny_model(), tiny_scenes(), photographs(24)
+    config = replace(CONFIG, renderings=64, consensus=replace(CONFIG.consensus, components=4))
+    poses = first_poses(model, scenes, tiny_extractor(), images, config, TRAINING.warm_up.light, generator(1))
+    torch.testing.assert_close(poses[:, 4:], read_poses(model, images)[:, 4:])
+    assert poses[:, 3].abs().max() <= 0.35

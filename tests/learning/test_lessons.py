@@ -54,3 +54,18 @@ def test_lessons_that_diverge_stop(iterations: int, message: str) -> None:
     config = replace(LESSONS, iterations=iterations, learning_rate=1e39)
     with pytest.raises(TrainingDiverged, match=message):
         learn_poses(tiny_model(), images, torch.arange(8), coordinates, config, generator(0))
+
+
+def test_every_head_learns() -> None:
+    model = tiny_model()
+    images, poses = photographs(80)
+
+    def errors() -> Tensor:
+        with torch.no_grad():
+            said = model.pose_decoder.ensemble(model.pose_encoder(images.float() / 255))
+        heads = [type(said)(*(part[:, head] for part in said)) for head in range(said.coordinates.shape[1])]
+        return torch.stack([regression_error(one, poses).mean() for one in heads])
+
+    before = errors()
+    learn_poses(model, images, torch.arange(80), poses, LESSONS, generator(0))
+    assert (errors() < 0.8 * before).all()

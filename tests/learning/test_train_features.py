@@ -6,12 +6,14 @@ from pathlib import Path
 import pytest
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from pipeline.errors import ConfigError, DataError, TrainingDiverged
 from pipeline.networks.feature_extractor import save_feature_extractor
 from pipeline.networks.wide_resnet import WideResNet, load_wide_resnet
 from pipeline.seeding import generator
 from pipeline.training import features
+from pipeline.training.augmentation import to_float
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.features import (
     FeaturesConfig,
@@ -179,3 +181,33 @@ def test_weights_of_another_size_cannot_be_transferred(tmp_path: Path) -> None:
             0,
             Checkpoint(tmp_path, "key"),
         )
+
+
+def feature_trainer() -> FeatureTrainer:
+    return FeatureTrainer(CONFIG, bars(64, 0), NO_WEIGHTS, torch.float32, 0)
+
+
+def test_only_weights_of_convolutions_and_layers_decay() -> None:
+    groups = feature_trainer().optimizer.param_groups
+    assert [(group["weight_decay"], group["momentum"]) for group in groups] == [(5e-4, 0.9), (0.0, 0.9)]
+    assert {parameter.ndim for parameter in groups[1]["params"]} == {1}
+
+
+def test_colours_are_standardized_and_labels_smoothed() -> None:
+    trainer, other = feature_trainer(), feature_trainer()
+    pixels = to_float(torch.stack(list(bars(64, 0).images)))
+    torch.testing.assert_close(trainer.network.mean.flatten(), pixels.mean(dim=(0, 2, 3)))
+    torch.testing.assert_close(trainer.network.std.flatten(), pixels.std(dim=(0, 2, 3)), atol=1e-3, rtol=0)
+    images, labels = other.batch(0)
+    said = other.network.train()(to_float(images))
+    expected = functional.cross_entropy(said, labels, label_smoothing=CONFIG.label_smoothing)
+    torch.testing.assert_close(trainer.step(0)["train_loss"], expected)
+
+
+def test_every_epoch_has_an_order_of_its_own() -> None:
+    trainer, orders = feature_trainer(), []
+    for epoch in range(2):
+        trainer.batch(epoch * trainer.iterations_per_epoch)
+        orders.append(trainer.order.tolist())
+    assert orders[0] != orders[1]
+    assert [sorted(order) for order in orders] == [list(range(64))] * 2

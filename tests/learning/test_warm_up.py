@@ -1,13 +1,15 @@
 """The warm-up on renderings of the base shape."""
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
 
 from pipeline.errors import TrainingDiverged
 from pipeline.seeding import generator
-from pipeline.training.warm_up import draw_sample, warm_up
+from pipeline.training import warm_up as warm_up_module
+from pipeline.training.warm_up import draw_sample, warm_up, warm_up_loss
 from tests.tiny_full_model import TRAINING, tiny_model, tiny_scenes
 
 CONFIG = replace(TRAINING.warm_up, iterations=300, batch_size=16, learning_rate=3e-3)
@@ -59,3 +61,26 @@ def test_renderings_stay_in_range_and_differ() -> None:
     assert images.max() <= 1
     assert images.std(dim=0).mean() > 0.01
     assert shape.std() > 0
+
+
+def test_scenes_are_lit_their_shapes_differ_and_noise_is_added(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, scenes = tiny_model(), tiny_scenes().generators[0]
+    drawn: list[tuple[Any, ...]] = []
+    render = warm_up_module.render
+    monkeypatch.setattr(warm_up_module, "render", lambda *given: (drawn.append(given), render(*given))[1])
+    config = replace(TRAINING.warm_up, batch_size=200, paint=0.0, noise=0.1)
+    sample = draw_sample(model, scenes, config, generator(2))
+    assert drawn[0][4].directional.unique().tolist() == [config.light.directional]
+    assert sample.shape.std().item() == pytest.approx(config.shape_spread, abs=0.02)
+    plain = draw_sample(model, scenes, replace(config, noise=0.0), generator(2))
+    deviation = (sample.images - plain.images).flatten(1).std(dim=1)
+    assert 0.06 < deviation.max() <= 0.105
+    assert deviation.min() < 0.01
+
+
+def test_every_encoder_and_decoder_of_pictures_and_poses_learns() -> None:
+    model, scenes = tiny_model(), tiny_scenes().generators[0]
+    warm_up_loss(model, draw_sample(model, scenes, TRAINING.warm_up, generator(0))).backward()
+    for part in ("texture", "background", "pose"):
+        for network in (getattr(model, f"{part}_encoder"), getattr(model, f"{part}_decoder")):
+            assert any(weight.grad is not None and weight.grad.any() for weight in network.parameters()), part

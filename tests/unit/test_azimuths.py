@@ -16,6 +16,7 @@ from pipeline.training.azimuths import (
     join_votes,
     judge,
     mirrored,
+    regress_held_out,
     standardize,
     symmetric_share,
 )
@@ -212,3 +213,9 @@ def test_votes_stay_where_there_are_no_rounds_and_repeat_for_a_seed() -> None:
     assert agree(0).shape == (12, AZIMUTHS)
     assert torch.equal(agree(2), agree(2))
     assert not torch.equal(agree(2), agree(0))
+
+
+def test_no_photograph_is_said_by_a_regression_that_knows_it() -> None:
+    features, targets = (torch.randn(2, 60, size, generator=generator(size)) for size in (60, 1))
+    said = regress_held_out(features, targets, 1e-3, 5, generator(2))
+    assert abs(torch.corrcoef(torch.stack([said.flatten(), targets.flatten()]))[0, 1]) < 0.3

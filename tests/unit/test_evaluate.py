@@ -162,3 +162,21 @@ def test_reconstruction_nearer_to_the_photograph_counts_as_improved(learned: Cha
     assert figures["vertex_deviation"]["predicted"]["n"] == COUNT
     assert figures["reconstruction"]["tuned"]["feature_distance"]["value"] == 0
     torch.testing.assert_close(table["psnr_predicted"], torch.full((COUNT,), -20 * math.log10(0.25)))
+
+
+def test_shapes_are_measured_at_their_own_stage(training: Truth, truth: Truth) -> None:
+    learned = turned_answers(training, truth)
+    predicted = learned.reconstructions.predicted
+    flat = predicted._replace(vertices=predicted.vertices * torch.tensor([1.0, 0.3, 1.0]))
+    found = learned._replace(reconstructions=learned.reconstructions._replace(predicted=flat))
+    shapes = evaluate_truth(found, training, truth, CONFIG)[0]["shape"]
+    assert shapes["test_tuned"]["voxel_iou"]["value"] > 0.99
+    assert shapes["test"]["voxel_iou"]["value"] < 0.6
+
+
+def test_the_size_of_a_shape_does_not_count(training: Truth, truth: Truth) -> None:
+    learned = turned_answers(training, truth)
+    tuned = learned.reconstructions.tuned
+    half = learned.reconstructions._replace(tuned=tuned._replace(vertices=tuned.vertices / 2))
+    shapes = evaluate_truth(learned._replace(reconstructions=half), training, truth, CONFIG)[0]["shape"]
+    assert shapes["test_tuned"]["voxel_iou"]["value"] > 0.99

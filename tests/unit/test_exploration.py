@@ -248,3 +248,24 @@ def test_settings_that_no_candidate_can_have_are_refused() -> None:
         replace(CONFIG, pose_step=(0.5, 0.3))
     with pytest.raises(ConfigError, match=r"shapes\.step is \[0\.5, 0\.1\]; expected the smaller size first"):
         ShapeSearchConfig(random=1, perturbed=1, step=(0.5, 0.1), spread=0.5)
+
+
+def test_steps_of_poses_are_of_all_sizes() -> None:
+    model = tiny_model()
+    poses = torch.zeros(3, 7).index_fill(1, torch.tensor([0]), 1.0)
+    record = Record(poses, torch.zeros(3, model.shapes.parameter_count))
+    none = dict.fromkeys(("turned_poses", "raised_poses", "flipped_poses", "random_poses"), 0)
+    config = replace(CONFIG, perturbed_poses=400, shapes=None, pose_step=(0.01, 0.1), **none)
+    drawn, _ = candidates(model, estimate_of(model, 3), record, config, generator(1))
+    sizes = (drawn[4:] - record.pose)[..., 2:].flatten(0, 1).square().mean(1).sqrt()
+    assert sizes.log().mean().exp().item() == pytest.approx(0.028, rel=0.15)
+    assert sizes.quantile(0.02) < 0.012
+    assert sizes.quantile(0.98) > 0.08
+
+
+def test_random_shapes_spread_as_asked() -> None:
+    model = tiny_model()
+    assert CONFIG.shapes is not None
+    config = replace(CONFIG, shapes=replace(CONFIG.shapes, random=100, perturbed=0, spread=0.5))
+    _, shapes = candidates(model, estimate_of(model, 3), first_record(model, 3, generator(0)), config, generator(1))
+    assert shapes[-100:].std().item() == pytest.approx(0.5, abs=0.03)

@@ -9,12 +9,14 @@ from torch import Tensor, nn
 
 from pipeline.errors import ConfigError
 from pipeline.losses.smoothness import SmoothnessConfig
+from pipeline.networks.pose_decoder import regression_error
 from pipeline.seeding import generator
+from pipeline.training import full_trainer
 from pipeline.training.candidates import Record
 from pipeline.training.exploration import Best
 from pipeline.training.full_trainer import FullTrainer
 from pipeline.training.photographs import Photographs
-from tests.tiny_full_model import TRAINING, base_mesh, photographs, tiny_extractor
+from tests.tiny_full_model import TRAINING, base_mesh, exact_regression, photographs, tiny_extractor
 
 UNWEIGHTED = replace(
     TRAINING.loss,
@@ -156,3 +158,57 @@ def test_what_is_for_mirror_symmetric_objects_is_refused_for_others(changes: dic
 def learns(network: nn.Module) -> bool:
     """Say whether a gradient has reached a network."""
     return any(parameter.grad is not None and bool(parameter.grad.any()) for parameter in network.parameters())
+
+
+def test_random_views_share_box_and_frame_with_the_estimated_ones_and_know_their_own_turns() -> None:
+    trainer, (_, poses) = trainer_of(), photographs(4)
+    given: list[tuple[Tensor, Tensor]] = []
+    trainer.discriminator.register_forward_pre_hook(lambda _, arguments: given.append(arguments))
+    terms = terms_of(trainer)
+    [(images, views)] = given
+    (estimated, turned), others = views.chunk(2), images.chunk(2)[1]
+    assert torch.equal(estimated, poses)
+    assert torch.equal(turned[:, 3:], poses[:, 3:])
+    assert (turned[:, :3] != poses[:, :3]).all()
+    said = trainer.model.pose_decoder(trainer.model.pose_encoder(others))
+    torch.testing.assert_close(terms["rendered_regression"], regression_error(said, turned).mean())
+
+
+def test_mirror_images_are_read_at_mirrored_poses() -> None:
+    trainer, (_, poses) = trainer_of(), photographs(4)
+    images, features = trainer.photographs.batch(torch.arange(4))
+    estimate, model = trainer.estimate(images, features), trainer.model
+    read = model.pose_decoder(model.pose_encoder(images.flip(-1)))
+    torch.testing.assert_close(estimate.mirrored.coordinates, read.coordinates)
+    known = estimate._replace(mirrored=exact_regression(model.poses.mirror(poses)))
+    best = Best(Record(poses, trainer.record.shape), torch.zeros(4).long())
+    assert trainer.loss.mirrored_regression(known, best) < 1e-5
+
+
+def test_what_exploration_finds_is_recorded_for_the_photographs_that_were_drawn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    trainer, index = trainer_of(), torch.tensor([2, 0, 3, 1])
+    found = Record(trainer.model.poses.draw(4, generator(5)), trainer.model.shapes.draw(4, 0.5, generator(6)))
+    monkeypatch.setattr(full_trainer, "explore", lambda *_: Best(found, torch.zeros(4).long()))
+    monkeypatch.setattr(trainer, "draw", lambda _: index)
+    trainer.step(TRAINING.iterations - 1)
+    for kept, wanted in zip(trainer.record.rows(index), found, strict=True):
+        assert torch.equal(kept, wanted)
+
+
+def test_codes_of_the_first_photographs_are_centred_before_training() -> None:
+    trainer = trainer_of()
+    images, _ = trainer.photographs.batch(torch.arange(4))
+    codes = trainer.model.pose_encoder(images)
+    torch.testing.assert_close(codes.mean(dim=0), torch.zeros(codes.shape[1]), atol=1e-3, rtol=0)
+
+
+def test_the_rate_of_full_training_cools_down() -> None:
+    trainer = trainer_of()
+    trainer.config = replace(trainer.config, iterations=4, cool_down=0.5, learning_rate=1e-3)
+    rates = []
+    for iteration in range(4):
+        trainer.step(iteration)
+        rates.append(trainer.optimizer.param_groups[0]["lr"])
+    assert rates == pytest.approx([1e-3, 1e-3, 1e-3, 5e-4])

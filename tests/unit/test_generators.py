@@ -9,7 +9,7 @@ import torch
 from pipeline.errors import ConfigError
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.symmetry import mirror_index, reflect
-from pipeline.networks.generators import ImageGenerator, SpherePad
+from pipeline.networks.generators import ImageGenerator, ShapeGenerator, SpherePad
 from pipeline.networks.scene_generator import (
     ConstraintConfig,
     GeneratorConfig,
@@ -142,3 +142,11 @@ def test_generators_survive_their_file_and_the_chosen_ones_come_first(tmp_path: 
     assert larger.backgrounds.shape == (6, 3, 16, 16)
     upper, lower = usual.backgrounds[:, :, :-1], usual.backgrounds[:, :, 1:]
     torch.testing.assert_close(larger.backgrounds[:, :, 1:-1:2, ::2], 0.75 * upper + 0.25 * lower)
+
+
+def test_the_offset_scale_scales_offsets() -> None:
+    latent, made = torch.randn(2, 4, generator=generator(0)), []
+    for scale in (1.0, 3.0):
+        with initialised(0):
+            made.append(ShapeGenerator(4, 8, 5, scale)(latent))
+    torch.testing.assert_close(made[1], 3 * made[0])

@@ -141,3 +141,10 @@ def test_what_cannot_be_trained_is_said(tmp_path: Path) -> None:
         train_hologan(TRAINING, PHOTOGRAPHS[..., ::2, ::2], 0, Checkpoint(tmp_path, "key"))
     with pytest.raises(TrainingDiverged, match="at iteration"):
         train_hologan(replace(TRAINING, learning_rate=1e30), PHOTOGRAPHS, 0, Checkpoint(tmp_path, "key"))
+
+
+def test_the_generator_learns_to_pass_and_to_show_its_latent() -> None:
+    trainer = HoloGANTrainer(replace(TRAINING, learning_rate=1e-2), PHOTOGRAPHS, 0)
+    draw = (trainer.generator.sample_latent(3, generator(0)), torch.zeros(3), torch.zeros(3))
+    losses = torch.tensor([[loss.item() for loss in trainer._improve_generator(*draw)] for _ in range(30)])
+    assert (losses[-1] < losses[0]).all()

@@ -16,6 +16,7 @@ from pipeline.evaluation.multiview import (
     multiview_figures,
     read_azimuths,
     render_views,
+    student_figures,
 )
 from pipeline.networks.full_model import FullModel
 from pipeline.seeding import generator
@@ -149,3 +150,23 @@ def test_reconstructions_are_measured_from_all_around(framing: str) -> None:
 def test_one_object_is_too_few(views: Tensor) -> None:
     with pytest.raises(DataError, match="compares objects"):
         multiview_figures(views[:1], tiny_extractor(), CONFIG, 50)
+
+
+def test_views_of_changing_objects_drift_as_far_as_chance(views: Tensor) -> None:
+    count, turns = views.shape[:2]
+    other = (torch.arange(count)[:, None] + torch.arange(turns)) % count
+    shown = views, views[other, torch.arange(turns)]
+    straight, changing = (multiview_figures(pictures, tiny_extractor(), CONFIG, 50) for pictures in shown)
+    expected = straight["chance"]["identity_drift"]["value"]
+    assert changing["identity_drift"]["value"] == pytest.approx(expected, rel=0.05)
+
+
+def test_a_network_in_a_frame_of_its_own_is_right_up_to_one_angle(monkeypatch: pytest.MonkeyPatch) -> None:
+    def read(images: Tensor) -> Tensor:
+        azimuth = images[:, 0, 0, 0] + 1
+        return torch.stack([azimuth.cos(), azimuth.sin()], 1)
+
+    model = tiny_model()
+    monkeypatch.setattr(model, "read_poses", read)
+    shown = CONFIG.azimuths().expand(5, -1)[..., None, None, None].expand(5, -1, 3, 4, 4)
+    assert student_figures(shown, model, CONFIG)["error_degrees"]["value"] < 1

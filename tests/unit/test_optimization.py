@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from pipeline.training.optimization import falling, set_learning_rate
+from pipeline.training.optimization import adam, falling, set_learning_rate
 
 
 def test_a_rate_falls_to_zero_over_the_cool_down() -> None:
@@ -21,3 +21,7 @@ def test_all_parameters_of_all_optimisers_get_the_rate() -> None:
     for optimizer in optimizers:
         optimizer.step()
     assert [parameter.item() for parameter in (first, second, third)] == [0.75] * 3
+
+
+def test_adam_takes_the_betas_it_is_given() -> None:
+    assert adam([torch.nn.Parameter(torch.ones(1))], 0.1, (0.5, 0.99)).defaults["betas"] == (0.5, 0.99)

@@ -1,0 +1,57 @@
+"""What fine-tuning keeps, and in which order it goes on (paper section 3.2.5)."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from pipeline.networks.feature_extractor import extract
+from pipeline.seeding import generator
+from pipeline.training import fine_tune as fine_tuning
+from pipeline.training.checkpoint import Checkpoint
+from pipeline.training.fine_tune import Outputs, PhaseConfig, choose_start, fine_tune, keep_better, tune
+from tests.learning.test_full_training import FINE_TUNING
+from tests.tiny_full_model import photographs, tiny_extractor, tiny_model
+
+
+def outputs_of(count: int) -> Outputs:
+    images, _ = photographs(count)
+    features = [layer.float() for layer in extract(tiny_extractor(), images, count)]
+    return Outputs(tiny_model().eval(), images.float() / 255, features)
+
+
+def test_a_step_too_far_is_taken_back() -> None:
+    outputs = outputs_of(3)
+    outputs.values["pose"][:, 2] = 0.0
+    start = outputs.values["pose"].clone()
+    least = outputs.reconstruct().pose.elevation.detach()
+    tune(outputs, "pose", lambda found: (found.pose.elevation - least).square(), PhaseConfig(1, 2.0), (0.5, 0.99))
+    assert torch.equal(outputs.values["pose"], start)
+
+
+def test_each_picture_keeps_what_is_better() -> None:
+    outputs = outputs_of(2)
+    outputs.values["pose"][:, 2] = 0.0
+    first = {name: value.clone() for name, value in outputs.values.items()}
+    outputs.values["pose"][:, 2] = torch.tensor([0.5, -0.5])
+    keep_better(outputs, first, lambda found: found.pose.elevation)
+    assert outputs.values["pose"][:, 2].tolist() == [0.0, -0.5]
+
+
+def test_it_starts_from_the_head_that_fits_best() -> None:
+    outputs = outputs_of(2)
+    target = outputs.model.poses.draw(2, generator(3))
+    azimuth = torch.atan2(target[:, 1], target[:, 0])
+    outputs.heads[:, 1] = target
+    choose_start(outputs, lambda found: 1 - (found.pose.azimuth - azimuth).cos(), 0)
+    torch.testing.assert_close(outputs.values["pose"], target)
+
+
+def test_backgrounds_come_first_then_poses_then_shapes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    taken: list[object] = []
+    monkeypatch.setattr(fine_tuning, "tune", lambda _, name, __, phase, ___: taken.append((name, phase)))
+    monkeypatch.setattr(fine_tuning, "choose_start", lambda *_: taken.append("start"))
+    checkpoint = Checkpoint(tmp_path, "key")
+    fine_tune(FINE_TUNING, photographs(2)[0], tiny_model().eval(), tiny_extractor(), checkpoint)
+    phases = [(name, getattr(FINE_TUNING, name)) for name in ("background", "pose", "shape")]
+    assert taken == ["start", *phases]
