@@ -195,7 +195,9 @@ def test_only_weights_of_convolutions_and_layers_decay() -> None:
 
 def test_colours_are_standardized_and_labels_smoothed() -> None:
     trainer, other = feature_trainer(), feature_trainer()
-    pixels = to_float(torch.stack(list(bars(64, 0).images)))
+    images = bars(64, 0).images
+    assert isinstance(images, Tensor)
+    pixels = to_float(images)
     torch.testing.assert_close(trainer.network.mean.flatten(), pixels.mean(dim=(0, 2, 3)))
     torch.testing.assert_close(trainer.network.std.flatten(), pixels.std(dim=(0, 2, 3)), atol=1e-3, rtol=0)
     images, labels = other.batch(0)
