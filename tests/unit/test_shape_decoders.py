@@ -196,3 +196,15 @@ def test_decoder_starts_near_the_base_shape() -> None:
         decoder = ShapeDecoder(8, 16, 195)
     parameters = decoder(torch.randn(4, 8, generator=generator(0)))
     assert 0 < parameters.abs().amax() < 0.02
+
+
+def test_units_that_are_all_pushed_down_still_pass_gradients() -> None:
+    with initialised(0):
+        decoder = ShapeDecoder(8, 16, 195)
+    for layer in decoder.modules():
+        if isinstance(layer, torch.nn.Linear):
+            torch.nn.init.constant_(layer.bias, -100.0)
+    code = torch.full((1, 8), -1.0, requires_grad=True)
+    decoder(code).sum().backward()
+    assert code.grad is not None
+    assert code.grad.all()
