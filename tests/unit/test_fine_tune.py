@@ -1,4 +1,4 @@
-"""What fine-tuning keeps, and in which order it goes on (paper section 3.2.5)."""
+"""What fine-tuning keeps, and in which order it goes on (paper section 3.2.4)."""
 
 from pathlib import Path
 
@@ -47,11 +47,14 @@ def test_it_starts_from_the_head_that_fits_best() -> None:
     torch.testing.assert_close(outputs.values["pose"], target)
 
 
-def test_backgrounds_come_first_then_poses_then_shapes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_backgrounds_come_first_then_poses_then_shapes_and_the_better_is_kept(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     taken: list[object] = []
     monkeypatch.setattr(fine_tuning, "tune", lambda _, name, __, phase, ___: taken.append((name, phase)))
     monkeypatch.setattr(fine_tuning, "choose_start", lambda *_: taken.append("start"))
+    monkeypatch.setattr(fine_tuning, "keep_better", lambda *_: taken.append("kept"))
     checkpoint = Checkpoint(tmp_path, "key")
     fine_tune(FINE_TUNING, photographs(2)[0], tiny_model().eval(), tiny_extractor(), checkpoint)
     phases = [(name, getattr(FINE_TUNING, name)) for name in ("background", "pose", "shape")]
-    assert taken == ["start", *phases]
+    assert taken == ["start", *phases, "kept"]
