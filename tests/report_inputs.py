@@ -70,7 +70,7 @@ def inputs(truth: bool) -> ReportInputs:
             "final_base": {"voxel_iou": figure(0.55)},
             "constant": {"voxel_iou": figure(0.4), "mask_iou": figure(0.45)},
         }
-        table |= {"truth_azimuth": ["0", "90", "180", "270"], "azimuth_predicted": ["0", "-90", "170", "0"]}
+        table |= {"truth_azimuth": ["0", "90", "-180", "-90"], "azimuth_predicted": ["0", "-90", "170", "0"]}
         table |= {"rotation_error_predicted": ["0", "180", "10", "90"], "rotation_error_tuned": ["0", "5", "10", "15"]}
         table["error_mode_predicted"] = ["correct", "flipped", "correct", "other"]
         table["error_mode_tuned"] = ["correct", "front_back", "correct", "correct"]

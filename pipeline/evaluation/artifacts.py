@@ -54,7 +54,7 @@ class Reconstructions(NamedTuple):
 
     def at(self, stage: str) -> Snapshot:
         """Return what one of `STAGES` left."""
-        return self.tuned if stage == "tuned" else self.predicted
+        return {"predicted": self.predicted, "tuned": self.tuned}[stage]
 
 
 class Truth(NamedTuple):

@@ -17,6 +17,14 @@ ROW_NAMES = {
     "base": "base shape",
     "final_base": "base shape after full training",
 }
+POSE_COLUMNS = {
+    "flipped": "flipped",
+    "mirrored": "mirrored",
+    "front_back": "front for back",
+    "other": "other",
+    "seen_side": "seen side",
+    "front_or_side": "front or side",
+}
 LINE_POINTS = 120
 RETRIEVED = "training photograph of the same colours"
 SHAPES = (
@@ -93,8 +101,7 @@ def pose_section(figures: Mapping[str, Any], rows: Mapping[str, list[str]]) -> l
 
 def azimuth_chart(rows: Mapping[str, list[str]]) -> str:
     """Plot estimated over true azimuth: right ones lie on the diagonal, each kind of mistake on a line of its own."""
-    truth = [(float(value) + 180) % 360 - 180 for value in rows["truth_azimuth"]]
-    estimates = [float(value) for value in rows["azimuth_predicted"]]
+    truth, estimates = ([float(value) for value in rows[name]] for name in ("truth_azimuth", "azimuth_predicted"))
     guides = {
         "correct": [((-180, -180), (180, 180))],
         "flipped": [((-180, 0), (0, 180)), ((0, -180), (180, 0))],
@@ -110,15 +117,13 @@ def azimuth_chart(rows: Mapping[str, list[str]]) -> str:
 
 def pose_table(pose: Mapping[str, Any]) -> str:
     """Lay out one row for each split, chance and constant last."""
-    modes = ("flipped", "mirrored", "front_back", "other", "seen_side", "front_or_side")
-    names = ("flipped", "mirrored", "front for back", "other", "seen side", "front or side")
-    header = ["poses", "within 30°", "median error, °", *names, "n"]
+    header = ["poses", "within 30°", "median error, °", *POSE_COLUMNS.values(), "n"]
     rows = []
     for name in (*ROW_NAMES, *BASELINES):
         if name in pose:
             figures = pose[name]
             median = figure_cell(figures["median_error_degrees"], digits=1)
-            cells = [figure_cell(figures.get(mode)) for mode in modes]
+            cells = [figure_cell(figures.get(column)) for column in POSE_COLUMNS]
             rows.append([ROW_NAMES.get(name, name), figure_cell(figures, "acc_pi6"), median, *cells, str(figures["n"])])
     return table(header, rows, BASELINES)
 

@@ -1,12 +1,14 @@
 """Azimuths that votes agree on."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 from torch import Tensor
 
 from pipeline.seeding import generator
+from pipeline.training import azimuths as azimuths_module
 from pipeline.training.azimuths import (
     AZIMUTHS,
     ConsensusConfig,
@@ -14,7 +16,6 @@ from pipeline.training.azimuths import (
     balance,
     bins,
     join_votes,
-    judge,
     mirrored,
     regress_held_out,
     standardize,
@@ -52,16 +53,14 @@ def features_of(azimuths: Tensor, paint: Tensor) -> Tensor:
     return features - features.mean(dim=(0, 1))
 
 
-def after_rounds(votes: Tensor, features: Tensor, colors: Tensor, rounds: int) -> Tensor:
-    scores = CONFIG.sharpness * standardize(votes)
-    share = symmetric_share(scores)
-    probabilities = balance(scores, colors, share, CONFIG.smaller_end)
-    for index in range(rounds):
-        scores = CONFIG.sharpness * standardize(
-            judge(features, probabilities, CONFIG.ridge, CONFIG.folds, generator(6 + index))
-        )
-        probabilities = balance(scores, colors, share, CONFIG.smaller_end)
-    return probabilities
+def after_rounds(votes: Tensor, features: Tensor, colors: Tensor, rounds: int, **changes: float) -> Tensor:
+    """Let votes agree with photographs of these features and mean colours."""
+    unread = torch.zeros(len(votes), 3, 4, 4)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(azimuths_module, "paintless_features", lambda *_: features)
+        patch.setattr(azimuths_module, "mean_colors", lambda _: colors)
+        config = replace(CONFIG, rounds=rounds, **changes)  # pyright: ignore[reportArgumentType]
+        return agree_on_azimuths(votes, unread, tiny_extractor(), config, generator(6))
 
 
 def share_right(probabilities: Tensor, azimuths: Tensor) -> float:
@@ -144,6 +143,26 @@ def test_most_photographs_may_show_the_front() -> None:
     colors = torch.randn(COUNT, 1, generator=generator(5))
     assert share_right(after_rounds(votes, features, colors, 0), azimuths) < 0.7
     assert share_right(after_rounds(votes, features, colors, 2), azimuths) > 0.9
+
+
+@pytest.mark.parametrize("rounds", [0, 1, 2])
+def test_no_end_takes_more_than_its_part_of_the_photographs_before_or_after_rounds(rounds: int) -> None:
+    from_the_front = torch.rand(COUNT, generator=generator(9)) < 0.9
+    azimuths = math.pi * (torch.rand(COUNT, generator=generator(10)) - 0.5) + math.pi * ~from_the_front
+    votes, features = votes_for(azimuths), features_of(azimuths, torch.zeros(COUNT))
+    colors = torch.randn(COUNT, 1, generator=generator(5))
+    free, balanced = (after_rounds(votes, features, colors, rounds, smaller_end=least) for least in (0.0, 0.5))
+    front = bins(azimuths.device).cos() > 0
+    assert free[:, front].sum(dim=1).mean() > 0.7
+    assert balanced[:, front].sum(dim=1).mean() < 0.55
+
+
+def test_sharper_scores_leave_less_doubt_after_a_round() -> None:
+    azimuths = azimuths_of(COUNT)
+    votes, features = votes_for(azimuths), features_of(azimuths, torch.zeros(COUNT))
+    colors = torch.randn(COUNT, 1, generator=generator(5))
+    dull, sharp = (after_rounds(votes, features, colors, 1, sharpness=sharpness) for sharpness in (1.0, 3.0))
+    assert sharp.amax(dim=1).mean() > 1.5 * dull.amax(dim=1).mean()
 
 
 def test_judging_repairs_votes_that_confuse_front_and_rear() -> None:

@@ -164,7 +164,7 @@ def test_constant_row_is_right_where_training_has_its_one_view() -> None:
 
 
 def test_the_median_of_chance_is_that_of_all_guesses() -> None:
-    """From above, guesses miss by less than 90 degrees, from the side they miss evenly: medians do not average."""
+    """Where pictures are missed by different angles, half of all guesses are not half of each picture's."""
     truth = pose(degrees(*[0] * 30), elevation=0)._replace(elevation=degrees(*[0] * 20, *[89] * 10))
     rng = torch.Generator().manual_seed(0)
     row = baseline_figures(truth, truth, 400, rng)["chance"]["median_error_degrees"]
