@@ -16,7 +16,7 @@ def random_features(stream: str, count: int, dtype: torch.dtype = torch.float64)
 
 
 def naive_distance(first: list[Tensor], second: list[Tensor]) -> Tensor:
-    """Eq. 1 for one picture each, position by position."""
+    """Eq. 2 for one picture each, position by position."""
     total = torch.zeros((), dtype=torch.float64)
     for a, b in zip(first, second, strict=True):
         _, height, width = a.shape
@@ -38,7 +38,7 @@ def naive_pairwise(first: list[Tensor], second: list[Tensor]) -> Tensor:
     return torch.stack(rows)
 
 
-def test_feature_distance_is_equation_one_summed_over_layers() -> None:
+def test_feature_distance_is_equation_two_summed_over_layers() -> None:
     first, second = random_features("first", 3), random_features("second", 3)
     torch.testing.assert_close(feature_distance(first, second), naive_pairwise(first, second).diagonal())
 
@@ -76,7 +76,7 @@ def test_pairwise_distance_is_the_distance_of_every_pair() -> None:
     torch.testing.assert_close(pairwise_feature_distance(first, second), expected, rtol=1e-4, atol=1e-4)
 
 
-def test_chamfer_is_equation_three_in_value_and_gradient() -> None:
+def test_chamfer_is_equation_four_in_value_and_gradient() -> None:
     real, generated = random_features("real", 5), random_features("generated", 5)
     for layer in generated:
         layer.requires_grad_()
@@ -90,7 +90,7 @@ def test_chamfer_is_equation_three_in_value_and_gradient() -> None:
         torch.testing.assert_close(own, naive)
 
 
-def test_feature_matching_is_equation_two() -> None:
+def test_feature_matching_is_equation_three() -> None:
     real, generated = random_features("real", 5, torch.float32), random_features("generated", 4, torch.float32)
     expected = naive_distance(
         [layer.double().mean(0) for layer in real], [layer.double().mean(0) for layer in generated]
