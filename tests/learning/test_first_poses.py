@@ -8,9 +8,11 @@ import torch
 from torch import Tensor
 
 from pipeline.seeding import generator
+from pipeline.training import first_poses as first_poses_module
 from pipeline.training.azimuths import ConsensusConfig
 from pipeline.training.first_poses import (
     FirstPosesConfig,
+    _compare,
     _rendered_poses,
     count_votes,
     cut_to_box,
@@ -94,3 +96,38 @@ def test_boxes_stay_as_the_networks_read_them() -> None:
     poses = first_poses(model, scenes, tiny_extractor(), images, config, TRAINING.warm_up.light, generator(1))
     torch.testing.assert_close(poses[:, 4:], read_poses(model, images)[:, 4:])
     assert poses[:, 3].abs().max() <= 0.35
+
+
+def test_elevation_and_roll_are_those_of_renderings_near_the_azimuth(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, (images, _), scenes = tiny_model(), photographs(12), tiny_scenes()
+    scenes = scenes._replace(generators=scenes.generators[:1])
+    turns = torch.arange(72) * (2 * math.pi / 72)
+    high_in_front = torch.stack([turns.cos(), turns.sin(), 0.8 * turns.cos(), 0.8 * turns.sin()], 1)
+    monkeypatch.setattr(model.poses, "draw", lambda *_: torch.cat([high_in_front, torch.zeros(72, 3)], 1))
+    consensus = replace(CONFIG.consensus, rounds=0)
+    config = replace(CONFIG, renderings=72, pose_reach=1.0, concentration=80.0, consensus=consensus)
+    found = first_poses(model, scenes, tiny_extractor(), images, config, TRAINING.warm_up.light, generator(1))
+    torch.testing.assert_close(found[:, 2:4], 0.8 * found[:, :2], atol=0.15, rtol=0)
+
+
+def test_boxes_of_renderings_err_as_those_of_photographs_do(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, scenes, (images, _) = tiny_model(), tiny_scenes(), photographs(12)
+    cuts: list[Tensor] = []
+    monkeypatch.setattr(first_poses_module, "cut_to_box", lambda *given: (cuts.append(given[2]), cut_to_box(*given))[1])
+    consensus = replace(CONFIG.consensus, rounds=0)
+    for box_jitter in (0.0, 0.3):
+        config = replace(CONFIG, renderings=64, box_jitter=box_jitter, consensus=consensus)
+        first_poses(model, scenes, tiny_extractor(), images, config, TRAINING.warm_up.light, generator(1))
+    _, right, _, _, wrong, _ = cuts  # of the photographs, then of the renderings of both generators
+    assert torch.equal(wrong[:, :4], right[:, :4])
+    assert (wrong - right)[:, 4:].std().item() == pytest.approx(0.3, rel=0.15)
+
+
+def test_what_an_extractor_sees_in_the_mirror_alone_counts_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    extractor, images = tiny_extractor(), photographs(12)[0] / 255
+    look, seen = extractor.forward, torch.arange(32) >= 16
+    monkeypatch.setattr(extractor, "forward", lambda pictures: look(pictures * seen))
+    photographed, rendered = images.split(6)
+    inverted_on_the_left = torch.where(seen, photographed, 1 - photographed)
+    before, after = (_compare(cuts, [rendered], extractor)[0] for cuts in (photographed, inverted_on_the_left))
+    assert (after - before).abs().mean() > 0.05 * before.std()

@@ -225,6 +225,22 @@ def test_curriculum_draws_different_photographs_from_the_first_ones() -> None:
     assert draws[6:].max() >= 8
 
 
+@pytest.mark.parametrize("iteration", [3, 5])
+def test_an_iteration_draws_from_as_many_photographs_as_the_curriculum_has_reached(iteration: int) -> None:
+    (images, _), extractor = photographs(16), tiny_extractor()
+    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
+    drawn = torch.cat([trainer.draw(iteration) for _ in range(40)]).unique()
+    assert drawn.tolist() == list(range(int(TRAINING.photographs_per_iteration * (iteration + 1))))
+
+
+def test_every_visit_of_a_photograph_counts() -> None:
+    (images, _), extractor = photographs(TRAINING.batch_size), tiny_extractor()
+    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
+    for iteration in range(2):
+        trainer.step(iteration)
+    assert trainer.visits.tolist() == [2] * TRAINING.batch_size
+
+
 def test_photographs_on_disk_give_the_same_training(tmp_path: Path) -> None:
     """Neither the pictures nor their features fit into one byte."""
     images, _ = photographs(8)

@@ -1,6 +1,7 @@
 """Lessons from known poses."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import pytest
 import torch
@@ -69,3 +70,14 @@ def test_every_head_learns() -> None:
     before = errors()
     learn_poses(model, images, torch.arange(80), poses, LESSONS, generator(0))
     assert (errors() < 0.8 * before).all()
+
+
+def test_steps_grow_smaller_in_the_second_half_of_the_lessons() -> None:
+    model, (images, coordinates) = tiny_model(), photographs(8)
+    weight, weights = model.pose_encoder.project.weight, list[Tensor]()
+    model.pose_encoder.register_forward_pre_hook(lambda *_: weights.append(weight.detach().clone()))
+    config = LessonsConfig(8, 4, 1e-2, (0.0, 0.0))  # without momentum every step is as long as the rate
+    learn_poses(model, images, torch.arange(8), coordinates, config, generator(0))
+    lengths = [(after - before).abs().max() for before, after in pairwise([*weights, weight.detach()])]
+    torch.testing.assert_close(torch.stack(lengths[:4]), torch.full((4,), 1e-2), atol=1e-5, rtol=0)
+    assert lengths[4] > lengths[5] > lengths[6] > lengths[7]

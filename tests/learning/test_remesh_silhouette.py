@@ -9,6 +9,7 @@ from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.mesh_quality import measure_remeshing
 from pipeline.geometry.remeshing import MappedMesh
 from pipeline.geometry.symmetry import mirror_index, reflect
+from pipeline.geometry.topology import polygon_areas
 from pipeline.geometry.voxels import voxelize
 from pipeline.rendering.renderer import RendererConfig
 from pipeline.training.remesh_silhouette import SilhouetteConfig, remesh_by_silhouettes, silhouettes, views_all_around
@@ -37,6 +38,16 @@ def test_sphere_becomes_a_car_of_even_polygons() -> None:
     assert measured["map_flipped_faces"] == 0
     mirror = mirror_index(fitted.directions)
     assert torch.equal(fitted.vertices[mirror], reflect(fitted.vertices))
+
+
+def test_surfaces_are_kept_small_where_their_area_costs() -> None:
+    original = MappedMesh(*deformed_sphere("car", 2))
+    config = replace(CONFIG, iterations=3, views=2, renderer=replace(RENDERER, size=16))
+    free, dear = (
+        polygon_areas(mesh.vertices, mesh.faces).sum()
+        for mesh in (remesh_by_silhouettes(original, replace(config, area_weight=weight)) for weight in (0.0, 10.0))
+    )
+    assert dear < 0.95 * free
 
 
 def test_a_remeshing_that_diverges_is_an_error() -> None:

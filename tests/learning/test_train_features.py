@@ -213,3 +213,12 @@ def test_every_epoch_has_an_order_of_its_own() -> None:
         orders.append(trainer.order.tolist())
     assert orders[0] != orders[1]
     assert [sorted(order) for order in orders] == [list(range(64))] * 2
+
+
+def test_pictures_are_shifted_by_up_to_the_margin() -> None:
+    images = torch.randint(0, 100, (64, 3, 16, 16), generator=generator(0), dtype=torch.uint8)
+    images[:, :, 8] = 255
+    config = replace(CONFIG, batch_size=64, crop_margin=2)
+    trainer = FeatureTrainer(config, Pictures(images, torch.arange(64) % 2), NO_WEIGHTS, torch.float32, 0)
+    rows = trainer.batch(0).images.float().mean(dim=(1, 3)).argmax(dim=1)
+    assert rows.unique().tolist() == [6, 7, 8, 9, 10]

@@ -16,6 +16,7 @@ from pipeline.training.azimuths import (
     balance,
     bins,
     join_votes,
+    judge,
     mirrored,
     regress_held_out,
     standardize,
@@ -176,6 +177,20 @@ def test_judging_repairs_votes_that_confuse_front_and_rear() -> None:
     assert share_right(after_rounds(votes, features, colors, 4), azimuths) > 0.95
 
 
+@pytest.mark.parametrize("blind", [0, 1])
+def test_what_only_one_of_two_mirror_images_shows_is_judged(blind: int) -> None:
+    azimuths = azimuths_of(COUNT)
+    features = features_of(azimuths, torch.zeros(COUNT))
+    features[blind] = 0
+    scores = judge(features, votes_for(azimuths).softmax(dim=1), CONFIG.ridge, CONFIG.folds, generator(6))
+    assert share_right(scores, azimuths) > 0.9
+
+
+def test_scores_are_compared_within_a_photograph() -> None:
+    votes, liked = votes_for(azimuths_of(COUNT)), torch.randn(COUNT, 1, generator=generator(1))
+    torch.testing.assert_close(standardize(votes + liked), standardize(votes))
+
+
 def test_paint_does_not_decide_which_end_is_the_front() -> None:
     azimuths = azimuths_of(COUNT)
     paint = torch.randn(COUNT, generator=generator(7))
@@ -189,6 +204,12 @@ def test_paint_does_not_decide_which_end_is_the_front() -> None:
     two_rounds_blind_to_paint = after_rounds(votes, features, torch.randn(COUNT, 1, generator=generator(5)), 2)
     assert share_right(after_rounds(votes, features, paint[:, None], 2), azimuths) > 0.95
     assert share_right(two_rounds_blind_to_paint, azimuths) < 0.9
+
+
+def test_repainting_mixes_channels() -> None:
+    red = torch.tensor([0.6, 0.4, 0.4])[:, None, None].expand(20, 3, 8, 8)
+    _, green, blue = repaint(red, generator(1)).mean(dim=(2, 3)).unbind(1)
+    assert (green - blue).abs().mean() > 0.01
 
 
 def test_features_in_units_of_repainting_tell_azimuths_better_than_paint() -> None:

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from typing import Any
+from unittest.mock import patch
 
 import pytest
 import torch
@@ -62,3 +63,19 @@ def test_the_rate_of_base_shape_learning_cools_down() -> None:
 def test_seeds_draw_different_photographs() -> None:
     first, second = (trainer_of(index).rng for index in (0, 1))
     assert not torch.equal(torch.rand(8, generator=first), torch.rand(8, generator=second))
+
+
+def test_renderings_are_compared_with_all_photographs() -> None:
+    trainer, images = trainer_of(), torch.rand(4, 3, 16, 16, generator=generator(0))
+    with patch.object(trainer.photographs, "batch", wraps=trainer.photographs.batch) as batch:
+        for _ in range(30):
+            trainer.reconstruction_loss(images, trainer.rng)
+    assert torch.cat([call.args[0] for call in batch.call_args_list]).unique().tolist() == list(range(8))
+
+
+def test_a_seeds_shape_is_the_mean_of_many() -> None:
+    def spread(batch_size: int) -> float:
+        trainer = trainer_of(batch_size=batch_size, generator=replace(CONFIG.generator, offset_scale=100.0))
+        return torch.stack([trainer.shape() for _ in range(20)]).std(dim=0).mean().item()
+
+    assert spread(16) < 0.5 * spread(1)

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from pipeline.errors import ConfigError
 from pipeline.seeding import generator
+from pipeline.training import ends
 from pipeline.training.candidates import flipped
 from pipeline.training.ends import EndsConfig, consistent_axes, facing, facing_with_preferred_end, tell_ends
 from pipeline.training.first_poses import cut_to_box
@@ -148,6 +149,55 @@ def test_axes_of_similar_photographs_become_consistent() -> None:
     assert errors(consistent).mean() < 0.7 * errors(recorded).mean()
     assert ((consistent * recorded).sum(dim=1) > 0).all()
     torch.testing.assert_close(consistent.norm(dim=1), torch.ones(COUNT))
+
+
+def test_axes_that_only_mirror_images_show_become_consistent() -> None:
+    truth, rng = tiny_model().poses.draw(COUNT, generator(2)), generator(9)
+    azimuth = torch.atan2(truth[:, 1], truth[:, 0])
+    wrong = azimuth + 0.3 * torch.randn(COUNT, generator=rng)
+    recorded = torch.stack([wrong.cos(), wrong.sin()], 1)
+    shown = torch.stack([(2 * azimuth).cos(), -(2 * azimuth).sin()], 1)
+    features = torch.stack([torch.zeros_like(shown), shown])
+    consistent = consistent_axes(features, recorded, replace(CONFIG, ridge=0.1, consistency=10.0), rng)
+
+    def error(turn: Tensor) -> float:
+        return (2 * (torch.atan2(turn[:, 1], turn[:, 0]) - azimuth)).sin().abs().mean().item()
+
+    assert error(consistent) < 0.7 * error(recorded)
+
+
+def test_ends_are_told_from_pictures_that_are_turned_upright(monkeypatch: pytest.MonkeyPatch) -> None:
+    pose_range = replace(MODEL.pose_range, roll=(-40.0, 40.0))
+    model, extractor, cuts = tiny_model(pose_range=pose_range), tiny_extractor(), []
+    rolled = torch.tensor([[0.0, 1.0, -1.0, 0.0, 0.0, 0.0, -1.0]]).repeat(5, 1)
+    rolled[:, 3] = torch.linspace(-0.9, 0.9, 5)
+    paintless = ends.paintless_features
+    monkeypatch.setattr(ends, "paintless_features", lambda *given: (cuts.append(given[0]), paintless(*given))[1])
+    images, config = photographs_of(rolled, pose_range), replace(CONFIG, box_size=0.6)
+    tell_ends(images, rolled, rolled, model.poses, extractor, config, generator(8))
+    askew = cut_to_box(images / 255, model.poses, rolled, 0.6, torch.zeros(5))
+    upright, rolled_ones = ((pictures - pictures[2]).abs().mean() for pictures in (cuts[0], askew))
+    assert upright < 0.7 * rolled_ones
+
+
+def test_ends_are_told_better_where_axes_are_made_consistent(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, rng = tiny_model(), generator(7)
+    truth = model.poses.draw(COUNT, generator(2))
+    wrong = torch.rand(COUNT, generator=rng) < 0.35
+    azimuth = torch.atan2(truth[:, 1], truth[:, 0])
+    named = azimuth + math.pi * wrong + 0.4 * torch.randn(COUNT, generator=rng)
+    recorded = torch.cat([named.cos()[:, None], named.sin()[:, None], truth[:, 2:]], 1)
+    angles = torch.stack([wave(step * azimuth) for step in (1, 2, 3) for wave in (torch.cos, torch.sin)], 1)
+    features = torch.stack([angles, angles * torch.tensor([1.0, -1.0]).repeat(3)])
+    features = features + 0.1 * torch.randn(2, COUNT, 6, generator=rng)
+    monkeypatch.setattr(ends, "paintless_features", lambda *_: features)
+
+    def share_told(consistency: float) -> float:
+        config, blank = replace(CONFIG, consistency=consistency, ridge=0.1), torch.zeros(COUNT, 3, 8, 8).byte()
+        belief = tell_ends(blank, recorded, recorded, model.poses, tiny_extractor(), config, generator(8))
+        return share_right(belief, 1 - 2.0 * wrong)
+
+    assert share_told(2.0) > share_told(0.0) + 0.02
 
 
 def test_networks_share_in_where_objects_stand() -> None:

@@ -124,6 +124,13 @@ def test_constant_is_the_most_frequent_view() -> None:
     assert (errors <= ACCURATE).sum() >= 60 + 5
 
 
+def test_the_constant_is_rolled_as_most_views_are() -> None:
+    truth = pose(degrees(*[90.0] * 9), elevation=20, roll=40)
+    truth.roll[:2] = math.radians(-80)
+    errors = geodesic_distance(fit_constant(truth).expand(9, 3, 3), rotation(truth))
+    assert errors[2:].max() < math.radians(0.01)
+
+
 def test_chance_is_a_sixth_of_the_circle_when_only_azimuth_is_free() -> None:
     truth = pose(random_pose(250, 5).azimuth, elevation=0)
     errors = chance_errors(truth, truth, 360, torch.Generator().manual_seed(0))

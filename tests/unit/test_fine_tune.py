@@ -4,12 +4,15 @@ from pathlib import Path
 
 import pytest
 import torch
+from torch import Tensor
 
 from pipeline.networks.feature_extractor import extract
+from pipeline.networks.full_model import Reconstruction
 from pipeline.seeding import generator
 from pipeline.training import fine_tune as fine_tuning
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.fine_tune import Outputs, PhaseConfig, choose_start, fine_tune, keep_better, tune
+from stages.fine_tune import summary
 from tests.learning.test_full_training import FINE_TUNING
 from tests.tiny_full_model import photographs, tiny_extractor, tiny_model
 
@@ -27,6 +30,18 @@ def test_a_step_too_far_is_taken_back() -> None:
     least = outputs.reconstruct().pose.elevation.detach()
     tune(outputs, "pose", lambda found: (found.pose.elevation - least).square(), PhaseConfig(1, 2.0), (0.5, 0.99))
     assert torch.equal(outputs.values["pose"], start)
+
+
+def test_without_momenta_every_step_is_as_long_as_the_rate() -> None:
+    outputs, met, slopes = outputs_of(2), list[Tensor](), iter([1.0, 100.0, -0.1, 1.0])
+    outputs.values["pose"][:, 2] = 0.0
+
+    def loss(found: Reconstruction) -> Tensor:
+        met.append(found.pose.elevation.detach() / outputs.model.poses.reach[0])
+        return next(slopes) * found.pose.elevation
+
+    tune(outputs, "pose", loss, PhaseConfig(3, 0.1), (0.0, 0.0))
+    torch.testing.assert_close(torch.stack(met).diff(dim=0), torch.tensor([[-0.1], [-0.1], [0.1]]).expand(3, 2))
 
 
 def test_each_picture_keeps_what_is_better() -> None:
@@ -58,3 +73,14 @@ def test_backgrounds_come_first_then_poses_then_shapes_and_the_better_is_kept(
     fine_tune(FINE_TUNING, photographs(2)[0], tiny_model().eval(), tiny_extractor(), checkpoint)
     phases = [(name, getattr(FINE_TUNING, name)) for name in ("background", "pose", "shape")]
     assert taken == ["start", *phases, "kept"]
+
+
+def test_the_summary_counts_photographs_whose_distance_fell() -> None:
+    before, after = torch.tensor([4.0, 4.0, 4.0, 4.0]), torch.tensor([1.0, 1.0, 1.0, 4.0])
+    figures = summary({"feature_distance_predicted": before, "feature_distance_tuned": after})
+    assert figures == {
+        "feature_distance_predicted": 4.0,
+        "feature_distance_tuned": 1.75,
+        "lowered": 0.75,
+        "photographs": 4,
+    }

@@ -2,6 +2,7 @@
 
 from dataclasses import fields, replace
 from typing import Literal
+from unittest.mock import patch
 
 import pytest
 import torch
@@ -9,6 +10,7 @@ from torch import Tensor, nn
 
 from pipeline.errors import ConfigError
 from pipeline.losses.smoothness import SmoothnessConfig
+from pipeline.networks.discriminator import ViewDiscriminator
 from pipeline.networks.pose_decoder import regression_error
 from pipeline.seeding import generator
 from pipeline.training import full_trainer
@@ -143,6 +145,26 @@ def test_the_discriminator_descends_and_textures_ascend() -> None:
                 assert parameter.grad is not None
                 parameter -= 0.05 * parameter.grad / (parameter.grad.norm() + 1e-12)
         assert (terms_of(trainer)["view_prior"] < before) == gains
+
+
+@pytest.mark.parametrize(("sign", "least", "most"), [(1, 0.0, 1e-3), (-1, 8.0, 10.0)])
+def test_positive_scores_stand_for_estimated_views(sign: int, least: float, most: float) -> None:
+    trainer, (_, poses) = trainer_of(), photographs(4)
+
+    def knowing(_: Tensor, views: Tensor) -> Tensor:
+        return sign * torch.where(torch.cdist(views, poses).amin(dim=1) < 1e-4, 9.0, -9.0)
+
+    with patch.object(trainer.discriminator, "forward", knowing):
+        assert least <= terms_of(trainer)["view_prior"] <= most
+
+
+def test_the_discriminators_scores_do_not_grow_with_its_convolutions() -> None:
+    discriminator = ViewDiscriminator(4, 7).eval()
+    images, views = torch.rand(4, 3, 32, 32, generator=generator(0)), torch.rand(4, 7, generator=generator(1))
+    before = discriminator(images, views)
+    for parameter in discriminator.convolutions.parameters():
+        parameter.data *= 10 if parameter.ndim > 1 else 1
+    torch.testing.assert_close(discriminator(images, views), before)
 
 
 @pytest.mark.parametrize("changes", [{}, {"first_poses": None}])

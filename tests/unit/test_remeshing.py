@@ -36,6 +36,16 @@ def test_remeshed_surface(name: str) -> None:
     assert measured["map_area_distortion"] < (1.6 if name == "horse" else 1.15)
 
 
+def test_attempts_come_nearer_to_the_target() -> None:
+    mesh = MappedMesh(*deformed_sphere("car", 2))
+
+    def miss(attempts: int) -> int:
+        config = replace(ISOTROPIC, target_faces=400, attempts=attempts, iterations=3)
+        return abs(len(remesh_isotropic(mesh, config, replace(SPHERE_MAP, iterations=1)).faces) - 400)
+
+    assert miss(3) < 0.7 * miss(1)
+
+
 FREED_ZEROS = (
     "import ctypes, torch, numpy; c = ctypes.CDLL(None); c.malloc.restype = ctypes.c_void_p;"
     "held = [c.malloc(size) for size in range(24, 300, 16) for _ in range(3000)];"

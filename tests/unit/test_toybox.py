@@ -4,6 +4,7 @@ import os
 import signal
 from itertools import product
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -13,13 +14,17 @@ from jaxtyping import Bool, Float
 
 from pipeline.datasets.prepared import write_images, write_truth
 from pipeline.datasets.toybox import aeroplane, car, chair, horse, toybox
+from pipeline.datasets.toybox.lighting import Lighting, choose_lighting
+from pipeline.datasets.toybox.model import Specimens
 from pipeline.datasets.toybox.photograph import PhotographConfig, photograph
+from pipeline.datasets.toybox.solids import Solid
 from pipeline.datasets.toybox.toybox import CATEGORIES, ToyboxConfig, make_toybox
-from pipeline.datasets.toybox.views import choose_poses
+from pipeline.datasets.toybox.views import ViewRange, choose_poses
 from pipeline.datasets.truth import GroundTruth
 from pipeline.errors import ConfigError, ProcessKilled, UserError
 from pipeline.files import sha256
 from pipeline.geometry.camera import CameraConfig, Pose, project
+from pipeline.geometry.icosphere import icosphere
 from pipeline.rendering.rasterize import rasterize
 
 CAMERA = CameraConfig(distance=2.7, field_of_view=30)
@@ -174,6 +179,23 @@ def test_a_larger_toybox_begins_with_the_smaller() -> None:
         assert isinstance(truth, GroundTruth)
         assert truth.masks.shape == (34, 32, 32)
         assert not np.array_equal(large.images["train"][category][:2], large.images["test"][category])
+
+
+def test_a_mirror_that_lies_flat_shows_the_sky(monkeypatch: pytest.MonkeyPatch) -> None:
+    directions, faces = icosphere(2)
+    plates = np.tile(directions.numpy() * np.array([1.0, 0.02, 1.0]), (4, 1, 1))
+    solid = Solid(plates, faces.numpy(), np.zeros(len(faces), dtype=np.int64))
+    mirrors = Specimens(solid, np.zeros((4, 1, 3)), np.ones(1))
+    from_above = ViewRange(elevation=(50.0, 60.0), side_views=False, roll=0.0, fill=0.9)
+
+    def green_sky_and_red_floor(*chosen: Any) -> Lighting:
+        sky, floor = np.tile([0.0, 1.0, 0.0], (4, 1)), np.tile([1.0, 0.0, 0.0], (4, 1))
+        return choose_lighting(*chosen)._replace(sky=sky, floor=floor)
+
+    monkeypatch.setattr("pipeline.datasets.toybox.photograph.choose_lighting", green_sky_and_red_floor)
+    images, truth = photograph(mirrors, from_above, CATEGORIES["car"].setting, CONFIG, np.random.default_rng(0))
+    red, green, _ = images[truth.masks.astype(bool)].mean(axis=0)
+    assert green > 1.5 * red
 
 
 def test_odd_supersampling_is_refused() -> None:

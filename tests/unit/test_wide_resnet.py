@@ -53,6 +53,15 @@ def test_features_are_the_group_outputs_before_sub_sampling() -> None:
     assert shapes == [(2, 3, 32, 32), (2, 64, 32, 32), (2, 128, 16, 16), (2, 256, 8, 8)]
 
 
+def test_features_are_those_of_colours_in_units_of_the_networks_mean_and_deviation() -> None:
+    network, plain, images = trained_like(), trained_like(), random_images(2)
+    network.mean.fill_(0.4)
+    network.std.fill_(0.2)
+    plain.mean.fill_(0.0)
+    plain.std.fill_(1.0)
+    torch.testing.assert_close(network.features(images), plain.features((images - 0.4) / 0.2))
+
+
 def test_folding_changes_no_feature() -> None:
     network = trained_like(16, 2).double()  # in float32 rounding moves single features by 1e-4, on some processors
     images = random_images().double()
