@@ -68,7 +68,7 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
                 continue
             name = f"{split}/{category}/{len(originals):06}.jpg"
             (temporary / name).parent.mkdir(parents=True, exist_ok=True)
-            picture.save(temporary / name, quality=95)
+            picture.save(temporary / name, quality=95, comment=b"")  # a longer one than a JPEG can hold is an error
             originals[name] = path.relative_to(folder).as_posix()
         if len(originals) < 2:
             first = f" ({left_out[0]})" if left_out else ""

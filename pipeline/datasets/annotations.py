@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+import numpy as np
 from scipy.io import loadmat
 from scipy.io.matlab import MatReadError
 
@@ -39,7 +40,7 @@ def read_objects(content: bytes, name: str, category: str, has_difficult: bool) 
         return [_object(found) for found in objects if found["class"] == category and _is_usable(found, flags)]
     except KeyError as error:
         raise DataError(f"{name} has no field {error}; expected an annotation of PASCAL3D+") from None
-    except (MatReadError, zlib.error, ValueError, TypeError, NotImplementedError, OSError) as error:
+    except (MatReadError, zlib.error, ValueError, TypeError, NotImplementedError, OSError, OverflowError) as error:
         reason = " ".join(str(error).split())
         raise DataError(f"{name} is not an annotation of PASCAL3D+ ({reason}); copy it again") from None
 
@@ -47,7 +48,7 @@ def read_objects(content: bytes, name: str, category: str, has_difficult: bool) 
 def _is_usable(found: Mapping[str, Any], flags: tuple[str, ...]) -> bool:
     viewpoint = found["viewpoint"]
     fine = isinstance(viewpoint, Mapping) and viewpoint.get("distance", 0) != 0
-    return fine and not any(found[flag] for flag in flags)
+    return fine and not any(np.any(found[flag]) for flag in flags)
 
 
 def _object(found: Mapping[str, Any]) -> AnnotatedObject:

@@ -3,6 +3,7 @@
 import gzip
 import lzma
 import os
+import re
 import tarfile
 import zipfile
 import zlib
@@ -159,6 +160,6 @@ def _require_small(path: Path, name: PurePosixPath, size: int) -> None:
 
 def _inside(path: Path, name: str) -> PurePosixPath:
     inside = PurePosixPath(name.replace("\\", "/"))
-    if inside.is_absolute() or ".." in inside.parts or name[1:2] == ":":
+    if inside.is_absolute() or ".." in inside.parts or re.match(r"[A-Za-z]:/", str(inside)):
         raise DataError(f"{path}: '{name}' points outside of the archive; expected only paths below its root")
     return inside

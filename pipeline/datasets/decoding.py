@@ -145,6 +145,8 @@ def to_srgb(picture: Image.Image, name: str, profile: bytes | None) -> Image.Ima
     try:
         of_picture = ImageCms.ImageCmsProfile(io.BytesIO(profile))
         mode = _PROFILED[of_picture.profile.xcolor_space]  # pyright: ignore[reportAttributeAccessIssue]
+        if picture.mode == "RGB" != mode:
+            return picture  # a profile of grey or of inks, left over from before, says nothing of these colours
         seen = ImageCms.profileToProfile(
             picture.convert(mode), of_picture, ImageCms.createProfile("sRGB"), outputMode="RGB"
         )

@@ -5,10 +5,12 @@ import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from PIL.TiffImagePlugin import PHOTOMETRIC_INTERPRETATION
 
 from pipeline.cli.__main__ import main
@@ -89,9 +91,9 @@ def test_a_signal_that_is_ignored_stops_nothing(
 ) -> None:
     photos, save = write_folder(tmp_path / "photos", {"a.jpg": noise(1), "b.jpg": noise(2)}), Image.Image.save
 
-    def save_and_signal(picture: Image.Image, path: Path, quality: int) -> None:
+    def save_and_signal(picture: Image.Image, path: Path, **options: Any) -> None:
         signal.raise_signal(number)
-        save(picture, path, quality=quality)
+        save(picture, path, **options)
 
     monkeypatch.setattr(Image.Image, "save", save_and_signal)
     signal.signal(number, signal.SIG_IGN)  # as nohup does
@@ -192,6 +194,20 @@ def test_colours_become_those_of_srgb(tmp_path: Path) -> None:
     for path in (tmp_path / "mine").rglob("*.jpg"):
         with Image.open(path) as written:
             assert np.abs(np.asarray(written).astype(int) - (40, 200, 90)).max() < 5
+
+
+def test_what_was_written_about_a_photograph_is_left_behind(tmp_path: Path) -> None:
+    stream, text = io.BytesIO(), PngInfo()
+    text.add_text("comment", 70_000 * "x")  # more than a JPEG can hold
+    Image.new("RGB", (40, 40)).save(stream, "PNG", pnginfo=text)
+    arrange(
+        write_folder(tmp_path / "photos", {"a.png": stream.getvalue(), "b.png": noise(1)}),
+        "ship",
+        tmp_path / "mine",
+        32,
+    )
+    with Image.open(tmp_path / "mine/test/ship/000000.jpg") as written:
+        assert "comment" not in written.info
 
 
 def test_what_cannot_be_used_is_named_and_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,7 +6,7 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from PIL import Image
+from PIL import Image, ImageCms
 
 from pipeline.datasets.decoding import Fit, cut_boxes, decode, decode_up_to
 from pipeline.errors import DataError
@@ -105,6 +105,12 @@ def test_lightness_and_two_colours_become_srgb() -> None:
     assert picture.info["icc_profile"]
     pixels = cut_boxes(stream.getvalue(), "1.tif", [(0, 0, 32, 32)], 32)[0]
     assert np.abs(pixels.astype(int) - (40, 200, 90)).max() < 5
+
+
+def test_a_profile_of_other_than_rgb_colours_changes_no_rgb_picture() -> None:
+    stream, of_lab = io.BytesIO(), ImageCms.ImageCmsProfile(ImageCms.createProfile("LAB")).tobytes()
+    Image.new("RGB", (32, 32), (220, 40, 0)).save(stream, "PNG", icc_profile=of_lab)
+    assert (decode(stream.getvalue(), "1.png", 32, "crop") == (220, 40, 0)).all()
 
 
 def test_a_damaged_colour_profile_is_refused() -> None:

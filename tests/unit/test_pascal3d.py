@@ -166,6 +166,10 @@ BAD_RELEASES = {
         replaced("Annotations/car_pascal/2009_1.mat", annotation("", car((90.0, 1.0, 99.0, 9.0), viewpoint(0.0)))),
         r"2009_1\.jpg is 80x60 px, but an object's box spans \(89, 0, 99, 9\); expected one inside",
     ),
+    "box not finite": (
+        replaced("Annotations/car_pascal/2009_1.mat", annotation("", car((1.0, 1.0, math.inf, 9.0), viewpoint(0.0)))),
+        r"2009_1\.mat is not an annotation of PASCAL3D\+ \(cannot convert float infinity to integer\)",
+    ),
     "angle not finite": (
         replaced("Annotations/car_pascal/2009_1.mat", annotation("", car(BOX, viewpoint(math.nan)))),
         r"2009_1\.mat is not an annotation of PASCAL3D\+ \(an angle is not finite\)",
