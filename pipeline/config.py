@@ -90,7 +90,10 @@ def entries(path: Path, key: str) -> dict[str, dict[str, Any]]:
     """Read a section of sections, such as `runs`, which may be empty. Raises ConfigError where it is anything else."""
     document = _read(path)
     found = {} if _find(document, key, path) is None else _section(document, key, path)
-    return {name: _section(document, f"{key}.{name}", path) for name in found}
+    for name, entry in found.items():
+        if not isinstance(entry, dict):
+            raise ConfigError(f"{path}: '{key}.{name}' must be a section of keys and values, not {entry!r}")
+    return found
 
 
 def names(path: Path) -> list[str]:
@@ -228,6 +231,11 @@ def nearest(name: str, candidates: Iterable[str], prefix: str = "") -> str:
     if near:
         return f"; did you mean '{prefix}{near[0]}'?"
     return f"; expected one of: {', '.join(names)}" if names else ""
+
+
+def is_plain(name: str) -> bool:
+    """Whether a name can be a category's or a run's: a part of commands, of keys of params.yaml and of files."""
+    return re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]*", name) is not None
 
 
 def require_known(name: str, known: Collection[str], lack: str) -> None:

@@ -12,8 +12,8 @@ from PIL.TiffImagePlugin import PHOTOMETRIC_INTERPRETATION, TiffImageFile
 from tqdm import tqdm
 
 from pipeline.cli.photographs import find_photographs, visible_files
+from pipeline.config import is_plain
 from pipeline.datasets.decoding import open_picture, reading, to_srgb
-from pipeline.datasets.prepared import is_plain
 from pipeline.errors import DataError
 from pipeline.files import atomic_path
 

@@ -2,7 +2,6 @@
 
 import io
 import math
-import re
 import zipfile
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise
@@ -24,11 +23,6 @@ Truth = Mapping[str, Mapping[str, GroundTruth | Viewpoints]]
 """Ground truth of those categories that have one, by split."""
 Names = Mapping[str, Mapping[str, Sequence[str]]]
 """Names of the pictures in the order they are stored, by split and category."""
-
-
-def is_plain(name: str) -> bool:
-    """Whether a name can be a category's, which becomes part of commands, of keys of params.yaml and of files."""
-    return re.fullmatch(r"[A-Za-z0-9_-]+", name) is not None
 
 
 class Dataset(NamedTuple):

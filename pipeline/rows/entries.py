@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
-from pipeline.config import entries, names, require_known, scalar
+from pipeline.config import entries, is_plain, names, require_known, scalar
 from pipeline.errors import ConfigError
 
 _TOP = ("device", "precision", "memory", "processes", "weights", "datasets")
@@ -35,6 +35,12 @@ _STAGES: Mapping[str, tuple[str, ...]] = {
 """Stages whose settings the entries of a section change."""
 
 
+_SECTION = (dict,), "a section of keys and values, {} where it changes nothing"
+_NAME = (str,), "text"
+_KINDS = {"seed": ((int,), "a whole number"), "chosen": ((str, int), "'score' or the number of a shape")}
+"""Types of the values that are no names, and what a sentence calls them."""
+
+
 def require_whole_entries(path: Path) -> None:
     """Raise ConfigError for a name that nothing reads, with the nearest one, and for an entry that lacks a key.
 
@@ -48,11 +54,13 @@ def require_whole_entries(path: Path) -> None:
     for section, values in NAMES.items():
         stages = _STAGES.get(section, ())
         for name, entry in entries(path, section).items():
+            if not (isinstance(name, str) and is_plain(name)):
+                raise ConfigError(f"{path}: {section} has the name {name!r}; expected letters, digits, _ and -")
             for key in entry:
                 require_known(key, (*values, *stages), f"{path}: {section}.{name} has no")
             for key in (*values, *stages):
                 if key not in entry:
                     raise ConfigError(f"{path} has no '{section}.{name}.{key}'; write it as its neighbours have it")
-                if isinstance(entry[key], dict) != (key in stages):
-                    kind = "a section of keys and values, {} where it changes nothing" if key in stages else "one value"
-                    raise ConfigError(f"{path}: '{section}.{name}.{key}' must be {kind}, not {entry[key]!r}")
+                kinds, words = _SECTION if key in stages else _KINDS.get(key, _NAME)
+                if type(entry[key]) not in kinds:
+                    raise ConfigError(f"{path}: '{section}.{name}.{key}' must be {words}, not {entry[key]!r}")

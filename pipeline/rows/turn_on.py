@@ -2,15 +2,13 @@
 
 import re
 from collections.abc import Mapping, Sequence
-from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from ruamel.yaml.comments import CommentedMap
 
-from pipeline.config import entries, load, merge, require_known, scalar
+from pipeline.config import entries, is_plain, load, require_known, scalar
 from pipeline.datasets.prepare import PrepareConfig
-from pipeline.datasets.prepared import is_plain
 from pipeline.datasets.survey import survey
 from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
@@ -20,6 +18,8 @@ from pipeline.rows.entries import require_whole_entries
 from pipeline.rows.params_file import put, round_trip_yaml
 from pipeline.rows.photographs import require_category, turn_on_dataset
 from pipeline.training.base_shape import BaseShapeConfig
+from pipeline.training.full_trainer import FullTrainingConfig
+from pipeline.training.hologan import HoloGANTrainingConfig
 
 BASELINES = ("hologan", "colmap")
 SWITCHES = ("datasets", "features", "base_shapes", "runs", *BASELINES)
@@ -79,19 +79,19 @@ def turn_on(path: Path, options: Options) -> str:
         require_known(name, document[kind], f"{path}: {kind} has no")
     if options.seed < 0:
         raise ConfigError(f"SEED is {options.seed}; expected 0 or a greater number")
-    _require_more(document, options)
+    _require_more(path, document, options)
     _require_base_shape(path, document, options)
     sections = ("learn_base_shape", f"rows.{options.row}.learn_base_shape", f"sizes.{options.size}.learn_base_shape")
-    base, size = load(path, BaseShapeConfig, sections), _full_training(document, options)["model"]["renderer"]["size"]
+    base, size = load(path, BaseShapeConfig, sections), _full_training(path, options).model.renderer.size
     if size % base.renderer.size and options.base_shape is None:
         raise ConfigError(
             f"full training compares {size} px, no multiple of the {base.renderer.size} px that base shapes are "
             "learned from; change one of the two `renderer.size`, or name a BASE_SHAPE="
         )
     if options.baseline == "hologan":
-        _require_that_hologan_draws(document, options.size, size)
+        _require_that_hologan_draws(path, options.size, size)
     dataset, category = _turn_on_photographs(document, options, size, base.framing)
-    _turn_on_features(document, dataset, options)
+    _turn_on_features(path, document, dataset, options)
     name = _turn_on_run(document, dataset, category, options)
     if path.read_text(encoding="utf-8") != text:  # an archive takes minutes to look through
         raise ConfigError(f"{path} was changed while this command was at work; run it again")
@@ -129,7 +129,7 @@ def _turn_on_photographs(document: CommentedMap, options: Options, size: int, fr
     return dataset, category
 
 
-def _turn_on_features(document: CommentedMap, dataset: str, options: Options) -> None:
+def _turn_on_features(path: Path, document: CommentedMap, dataset: str, options: Options) -> None:
     name, size, weights = _features_name(dataset, options), options.size, options.features
     features = document["features"]
     if weights is None:
@@ -139,7 +139,7 @@ def _turn_on_features(document: CommentedMap, dataset: str, options: Options) ->
             raise ConfigError(f"size '{size}' compares pictures by a given network; name its weights with FEATURES=")
     if weights is not None and not re.fullmatch(r"[\w./~+-]+", str(weights)):
         raise ConfigError(f"FEATURES={str(weights)!r} becomes part of a command; give a path without spaces and quotes")
-    given = document["weights"] if weights is None else str(_existing("FEATURES", weights))
+    given = scalar(path, "weights") if weights is None else str(_existing("FEATURES", weights))
     entry = {"dataset": dataset, "size": size, "seed": 0, "weights": given}
     _require_same(features.get(name, entry), entry, f"features.{name}")
     put(features, name, entry)
@@ -198,9 +198,9 @@ def _require_same(entry: Mapping[str, Any], wanted: Mapping[str, Any], key: str)
             )
 
 
-def _require_more(document: CommentedMap, options: Options) -> None:
+def _require_more(path: Path, document: CommentedMap, options: Options) -> None:
     """Refuse an ablation that changes nothing, or with iterations or pictures that those of a larger size exceed."""
-    usual, changed = (_full_training(document, given) for given in (options._replace(ablation="none"), options))
+    usual, changed = (_full_training(path, given) for given in (options._replace(ablation="none"), options))
     if (
         options.ablation != "none"
         and changed == usual
@@ -211,8 +211,8 @@ def _require_more(document: CommentedMap, options: Options) -> None:
             "ABLATION= out"
         )
     for of_size, of_ablation, what in (
-        (usual["iterations"], changed["iterations"], "iterations"),
-        (usual["model"]["renderer"]["size"], changed["model"]["renderer"]["size"], "pixels a side"),
+        (usual.iterations, changed.iterations, "iterations"),
+        (usual.model.renderer.size, changed.model.renderer.size, "pixels a side"),
     ):
         if of_ablation < of_size:
             raise ConfigError(
@@ -221,10 +221,10 @@ def _require_more(document: CommentedMap, options: Options) -> None:
             )
 
 
-def _full_training(document: CommentedMap, options: Options) -> dict[str, Any]:
-    """Return the settings of full training: its stage's, then what row, size and ablation change."""
-    parts = (document[kind][name] for kind, name in _sections(options))
-    return reduce(merge, (part["train_full"] for part in parts), document["train_full"])
+def _full_training(path: Path, options: Options) -> FullTrainingConfig:
+    """Load the settings of full training: its stage's, then what row, size and ablation change."""
+    changes = [f"{kind}.{name}.train_full" for kind, name in _sections(options)]
+    return load(path, FullTrainingConfig, ["train_full", *changes])
 
 
 def _require_base_shape(path: Path, document: CommentedMap, options: Options) -> None:
@@ -232,7 +232,7 @@ def _require_base_shape(path: Path, document: CommentedMap, options: Options) ->
     if options.base_shape is None:
         return
     require_known(options.base_shape, document["base_shapes"], f"{path}: base_shapes has no")
-    if not _full_training(document, options)["model"]["two_stage"]:
+    if not _full_training(path, options).model.two_stage:
         raise ConfigError(f"ablation '{options.ablation}' trains without a base shape; leave BASE_SHAPE= out")
     theirs = document["base_shapes"][options.base_shape]["ablation"]
     if theirs != (ours := _of_base_shape(document, options)):
@@ -242,9 +242,10 @@ def _require_base_shape(path: Path, document: CommentedMap, options: Options) ->
         )
 
 
-def _require_that_hologan_draws(document: CommentedMap, size: str, picture_size: int) -> None:
+def _require_that_hologan_draws(path: Path, size: str, picture_size: int) -> None:
     """Refuse a size whose pictures are larger than those that HoloGAN draws at it."""
-    drawn = merge(document["train_hologan"], document["sizes"][size]["train_hologan"])["network"]["image_size"]
+    settings = load(path, HoloGANTrainingConfig, ["train_hologan", f"sizes.{size}.train_hologan"])
+    drawn = settings.network.image_size
     if drawn != picture_size:
         raise ConfigError(
             f"HoloGAN draws {drawn} px at size '{size}', but this run's pictures have {picture_size} px; choose another"
