@@ -12,6 +12,12 @@ STRAY := $(firstword $(filter-out $(NAMES) PYTHON -%,$(WORDS)))
 ifneq ($(filter-out hologan colmap,$(if $(filter BASELINE,$(OPTIONS)),$(BASELINE))),)
 $(error BASELINE is $(BASELINE); expected hologan or colmap)
 endif
+ifneq ($(if $(filter run,$(MAKECMDGOALS)),,$(OPTIONS)),)
+$(error $(firstword $(OPTIONS)) is an option of make run: make run $(foreach option,$(OPTIONS),$(option)=$($(option))))
+endif
+SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))
+# The commands of an environment name its folder: where that was moved, it is set up anew.
+$(shell grep -qsxvF "$(CURDIR)" $(STAMP) && rm -rf .venv)
 # The stages' commands in dvc.yaml call `python`.
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 # Threads that wait should spin for a moment and then sleep: spinning on halves the speed of a busy machine, sleeping at
@@ -58,11 +64,12 @@ clean:  ## remove the environment and restart states; models and results stay
 	rm -rf .venv .checkpoints
 
 $(STAMP): constraints.txt pyproject.toml
-	@$(BIN)/python -c "import pip, sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))" 2> /dev/null || $(PYTHON) -m venv --clear .venv
+	@$(BIN)/python -c "import pip; $(SUPPORTED)" 2> /dev/null || $(PYTHON) -c "$(SUPPORTED)" || { echo "Python 3.11 to 3.13 is needed; name one, such as PYTHON=python3.12, behind make" >&2; exit 1; }
+	@$(BIN)/python -c "import pip; $(SUPPORTED)" 2> /dev/null || $(PYTHON) -m venv --clear .venv
 	@echo "installing into .venv: two to three minutes"
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[pipeline]"
 	@$(BIN)/python -c "import pymeshlab" || { echo "MeshLab does not load: install the libraries of OpenGL, on Debian and Ubuntu by apt-get install libgl1 libopengl0" >&2; exit 1; }
-	touch $@
+	@echo "$(CURDIR)" > $@
 
 $(TOOLS): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[pipeline,remote,video,baselines,development]"

@@ -43,5 +43,9 @@ Momentum = Annotated[float, Range(0, 1, open_high=True)]
 """How much of a running mean a step keeps, such as Adam's betas."""
 Slant = Annotated[float, Range(0, 180)]
 """The size of an angle, in degrees."""
+Azimuth = Annotated[float, Range(-360, 360)]
+"""An angle around the vertical, in degrees."""
+Concentration = Annotated[float, Range(0, 1000, open_low=True)]
+"""How narrow a distribution of angles is; more than that is narrower than what angles are counted in."""
 Elevation = Annotated[float, Range(-90, 90)]
 """An angle above the horizon, in degrees."""

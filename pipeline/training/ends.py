@@ -73,7 +73,7 @@ class EndsConfig:
     """Penalty of the regressions, as a part of a coefficient's mean variance."""
     folds: Several
     """Parts of the photographs that are judged in turn by regressions fitted to the others."""
-    photographs: Count
+    photographs: Several
     """How many are compared with each other, from the first on."""
 
     def __post_init__(self) -> None:

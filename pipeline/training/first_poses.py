@@ -23,7 +23,7 @@ from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_coordinates import PoseCoordinates
 from pipeline.networks.scene_generator import LearnedScenes, SceneGenerator
-from pipeline.ranges import Fraction, NonNegative, Positive, Several
+from pipeline.ranges import Concentration, Fraction, NonNegative, Positive, Several
 from pipeline.rendering.renderer import Mesh, render
 from pipeline.training.azimuths import ConsensusConfig, agree_on_azimuths, bins, join_votes
 from pipeline.training.viewpoints import LightConfig, sample_lights
@@ -54,7 +54,7 @@ class FirstPosesConfig:
     box_jitter: NonNegative
     box_size: Positive
     temperature: Positive
-    concentration: Positive
+    concentration: Concentration
     consensus: ConsensusConfig
     photographs: Several
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pipeline.errors import ConfigError
 from pipeline.geometry.camera import Pose
-from pipeline.ranges import NonNegative, Positive
+from pipeline.ranges import Azimuth, Concentration, NonNegative
 from pipeline.rendering.lighting import Light
 
 _QUANTILES = 1025
@@ -25,9 +25,9 @@ class AngleConfig:
         concentration: both parameters of the Beta distribution; 1 is the uniform distribution.
     """
 
-    low: float
-    high: float
-    concentration: Positive
+    low: Azimuth
+    high: Azimuth
+    concentration: Concentration
 
     def __post_init__(self) -> None:
         """Raise ConfigError for an interval that ends below its start."""

@@ -4,6 +4,7 @@ import hashlib
 import io
 import os
 import re
+import shutil
 import subprocess
 import tarfile
 from pathlib import Path
@@ -68,6 +69,34 @@ def test_words_after_make_run_that_are_no_options_are_errors() -> None:
     made = subprocess.run(words, cwd=ROOT, stderr=subprocess.PIPE, text=True, check=False)
     assert made.returncode == 2
     assert "SORCE is no option of make run; expected: ROW SIZE SOURCE" in made.stderr
+
+
+def test_options_of_make_run_are_errors_elsewhere() -> None:
+    words = ["make", "--dry-run", "repro", "ROW=toybox-horse", "SEED=3"]
+    made = subprocess.run(words, cwd=ROOT, stderr=subprocess.PIPE, text=True, check=False)
+    assert made.returncode == 2
+    assert "ROW is an option of make run: make run ROW=toybox-horse SEED=3" in made.stderr
+
+
+def test_an_interpreter_that_is_too_old_is_named(tmp_path: Path) -> None:
+    old = tmp_path / "python3.10"
+    old.write_text("#!/bin/sh\nexit 1\n")
+    old.chmod(0o755)
+    for name in ("Makefile", "constraints.txt", "pyproject.toml"):
+        shutil.copy(ROOT / name, tmp_path)
+    words = ["make", "install", f"PYTHON={old}"]
+    made = subprocess.run(words, cwd=tmp_path, stderr=subprocess.PIPE, text=True, check=False)
+    assert "Python 3.11 to 3.13 is needed; name one, such as PYTHON=python3.12" in made.stderr
+    assert not (tmp_path / ".venv").exists()
+
+
+@pytest.mark.parametrize("moved", [False, True])
+def test_an_environment_that_was_moved_is_set_up_anew(tmp_path: Path, moved: bool) -> None:
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    (tmp_path / ".venv").mkdir()
+    (tmp_path / ".venv/.installed").write_text(f"{tmp_path / 'before' if moved else tmp_path}\n")
+    subprocess.run(["make", "help"], cwd=tmp_path, check=True, stdout=subprocess.PIPE)
+    assert (tmp_path / ".venv").exists() != moved
 
 
 def test_every_example_of_a_parameter_exists() -> None:
