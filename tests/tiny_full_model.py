@@ -106,6 +106,7 @@ TRAINING = FullTrainingConfig(
         rendered_shape_regression=1.0,
         shape_prior=1.0,
         total_variation=0.1,
+        copied_background=1.0,
         view_prior=0.1,
         smoothness=SmoothnessConfig(1.0, 0.0, 0.0, 0.01, 0.0, 0.0),
         base_roughness=1.0,

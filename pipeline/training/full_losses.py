@@ -8,6 +8,7 @@ from torch import Tensor
 
 from pipeline.distributed import share, whole
 from pipeline.geometry.topology import topology_of
+from pipeline.losses.copied_background import copied_background
 from pipeline.losses.feature_matching import feature_matching
 from pipeline.losses.image_distance import Features, feature_distance
 from pipeline.losses.smoothness import SmoothnessConfig, smoothness
@@ -45,6 +46,8 @@ class LossConfig:
     """Of estimated vertices' squared distances to the base shape's, in units of the cube (ours): what a picture does
     not show stays as it mostly is."""
     total_variation: NonNegative
+    copied_background: NonNegative
+    """Of texels that copy the background, where there is no object (ours): shapes leave it out instead."""
     view_prior: NonNegative
     smoothness: SmoothnessConfig
     """Of single-stage training's shapes: a grid around a base shape cannot become rough (paper section 4.1.3)."""
@@ -64,6 +67,7 @@ class LossConfig:
             "rendered_shape_regression": self.rendered_shape_regression,
             "shape_prior": self.shape_prior,
             "total_variation": self.total_variation,
+            "copied_background": self.copied_background,
             "view_prior": self.view_prior,
             "smoothness": 1.0,
             "base_roughness": self.base_roughness,
@@ -100,6 +104,7 @@ class FullLoss:
             "mirrored_regression": self.mirrored_regression(estimate, best),
             "shape_regression": self.shape_regression(estimate.shape, vertices),
             "total_variation": total_variation(estimate.texture_maps),
+            "copied_background": copied_background(estimate.texture_maps, estimate.backgrounds),
             **self.other_views(vertices, estimate, best.record.pose, images, rng),
         }
         terms |= self.shape_terms(estimate.shape)

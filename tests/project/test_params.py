@@ -100,10 +100,15 @@ def test_each_ablation_changes_what_its_name_says() -> None:
     }
     counts = ("random_poses", "turned_poses", "raised_poses", "flipped_poses", "perturbed_poses")
     single_stage = {"two_stage": False, "ends": None}
-    weights = ("total_variation", "mirrored_regression", "laplacian_squared_weight", "angle_squared_weight")
+    weights = ("total_variation", "copied_background", "mirrored_regression")
+    weights += ("laplacian_squared_weight", "angle_squared_weight")
     free = {"mirror_texture": False, "stripes": False, "mirror": False, **dict.fromkeys(weights, 0)}
     additions = dict.fromkeys(
-        ("iterations", "mirrored_regression", "rendered_regression", "rendered_shape_regression", "shape_prior"), 0
+        (
+            *("iterations", "copied_background", "mirrored_regression", "rendered_regression"),
+            *("rendered_shape_regression", "shape_prior"),
+        ),
+        0,
     )
     assert changed == {
         "none": {},

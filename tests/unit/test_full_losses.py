@@ -96,6 +96,7 @@ def test_the_deepest_map_counts_by_its_weight(name: str) -> None:
         ("rendered_shape_regression", {"shape_encoder", "shape_decoder"}),
         ("shape_prior", {"shape_encoder", "shape_decoder"}),
         ("total_variation", TEXTURES),
+        ("copied_background", TEXTURES),
         ("view_prior", TEXTURES | BACKGROUNDS | {"shapes", "discriminator"}),
         ("base_roughness", {"shapes"}),
         ("smoothness", {"shape_encoder", "shape_decoder"}),
