@@ -1,5 +1,6 @@
 """Names in params.yaml that no stage's settings hold: what is on, and what rows, sizes and ablations change."""
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -39,6 +40,7 @@ _SECTION = (dict,), "a section of keys and values, {} where it changes nothing"
 _NAME = (str,), "text"
 _KINDS = {"seed": ((int,), "a whole number"), "chosen": ((str, int), "'score' or the number of a shape")}
 """Types of the values that are no names, and what a sentence calls them."""
+_CHOICE = re.compile(r"score|\d+")
 
 
 def require_whole_entries(path: Path) -> None:
@@ -62,5 +64,5 @@ def require_whole_entries(path: Path) -> None:
                 if key not in entry:
                     raise ConfigError(f"{path} has no '{section}.{name}.{key}'; write it as its neighbours have it")
                 kinds, words = _SECTION if key in stages else _KINDS.get(key, _NAME)
-                if type(entry[key]) not in kinds:
+                if type(entry[key]) not in kinds or key == "chosen" and not _CHOICE.fullmatch(str(entry[key])):
                     raise ConfigError(f"{path}: '{section}.{name}.{key}' must be {words}, not {entry[key]!r}")

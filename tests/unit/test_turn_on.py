@@ -18,6 +18,17 @@ from tests.picture_trees import tree, write_folder, write_tar
 ROOT = Path(__file__).parents[2]
 
 
+BASE_SHAPE = {
+    "row": "toybox-car",
+    "size": "laptop",
+    "ablation": "none",
+    "seed": 1,
+    "dataset": "toybox",
+    "category": "car",
+    "features": "toybox-laptop",
+}
+
+
 @pytest.fixture
 def params(tmp_path: Path) -> Path:
     return write_fresh_params(tmp_path / "params.yaml")
@@ -383,6 +394,7 @@ def test_a_wrong_name_changes_nothing(params: Path, options: Options, words: str
         ("runs", ["mine"], "'runs' must be a section"),
         ("runs", {"cars.v2": {}}, "runs has the name 'cars.v2'; expected letters, digits, _ and -"),
         ("runs", {2024: {}}, "runs has the name 2024; expected letters"),
+        ("base_shapes", {"mine": {**BASE_SHAPE, "chosen": "best"}}, "chosen' must be 'score' or the number of a shape"),
         (
             "rows",
             {"mine": {"dataset": "toybox", "category": 3, "learn_base_shape": {}, "train_full": {}}},
