@@ -64,5 +64,5 @@ def require_whole_entries(path: Path) -> None:
                 if key not in entry:
                     raise ConfigError(f"{path} has no '{section}.{name}.{key}'; write it as its neighbours have it")
                 kinds, words = _SECTION if key in stages else _KINDS.get(key, _NAME)
-                if type(entry[key]) not in kinds or key == "chosen" and not _CHOICE.fullmatch(str(entry[key])):
+                if type(entry[key]) not in kinds or (key == "chosen" and not _CHOICE.fullmatch(str(entry[key]))):
                     raise ConfigError(f"{path}: '{section}.{name}.{key}' must be {words}, not {entry[key]!r}")
