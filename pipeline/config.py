@@ -2,8 +2,8 @@
 
 import difflib
 import json
-import math
 import re
+import sys
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
@@ -192,7 +192,7 @@ def _fits(hint: Any, value: Any) -> bool:
             and all(_fits(item, inner) for item, inner in zip(_items(hint, value), value, strict=True))
         )
     if hint is float:
-        return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+        return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
     return type(value) is hint
 
 

@@ -18,7 +18,7 @@ class Range:
         """Say whether a number is finite and lies inside."""
         above = self.low < value if self.open_low else self.low <= value
         below = value < self.high if self.open_high else value <= self.high
-        return math.isfinite(value) and above and below
+        return abs(value) < math.inf and above and below
 
     def __str__(self) -> str:
         """Say what is expected, as in `a number, above 0`."""

@@ -143,6 +143,12 @@ def test_a_wrong_value_is_one_sentence_naming_file_and_key(params: Path, section
         assert word in message
 
 
+def test_a_number_too_large_to_compute_with_is_refused(params: Path) -> None:
+    params.write_text(DOCUMENT.replace("rate: 1.0e-4", f"rate: {10**400}"))
+    with pytest.raises(ConfigError, match=r"'stage\.rate' is 10+; expected a number"):
+        load(params, Stage, ["stage"])
+
+
 def test_a_missing_key_is_named(params: Path) -> None:
     with pytest.raises(ConfigError, match=r"'sizes\.laptop\.stage\.rate' is missing; expected a number"):
         load(params, Stage, ["sizes.laptop.stage"])
