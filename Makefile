@@ -64,8 +64,9 @@ clean:  ## remove the environment and restart states; models and results stay
 	rm -rf .venv .checkpoints
 
 $(STAMP): constraints.txt pyproject.toml
-	@$(BIN)/python -c "import pip; $(SUPPORTED)" 2> /dev/null || $(PYTHON) -c "$(SUPPORTED)" || { echo "Python 3.11 to 3.13 is needed; name one, such as PYTHON=python3.12, behind make" >&2; exit 1; }
-	@$(BIN)/python -c "import pip; $(SUPPORTED)" 2> /dev/null || $(PYTHON) -m venv --clear .venv
+	@$(BIN)/python -c "import pip; $(SUPPORTED)" 2> /dev/null || { \
+		$(PYTHON) -c "$(SUPPORTED)" || { echo "Python 3.11 to 3.13 is needed; name one, such as PYTHON=python3.12, behind make" >&2; exit 1; }; \
+		$(PYTHON) -m venv --clear .venv; }
 	@echo "installing into .venv: two to three minutes"
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[pipeline]"
 	@$(BIN)/python -c "import pymeshlab" || { echo "MeshLab does not load: install the libraries of OpenGL, on Debian and Ubuntu by apt-get install libgl1 libopengl0" >&2; exit 1; }

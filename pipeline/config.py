@@ -90,10 +90,7 @@ def entries(path: Path, key: str) -> dict[str, dict[str, Any]]:
     """Read a section of sections, such as `runs`, which may be empty. Raises ConfigError where it is anything else."""
     document = _read(path)
     found = {} if _find(document, key, path) is None else _section(document, key, path)
-    for name, entry in found.items():
-        if not isinstance(entry, dict):
-            raise ConfigError(f"{path}: '{key}.{name}' must be a section of keys and values, not {entry!r}")
-    return found
+    return {name: _require_section(entry, f"{key}.{name}", path) for name, entry in found.items()}
 
 
 def names(path: Path) -> list[str]:
@@ -133,7 +130,10 @@ def _find(document: dict[str, Any], dotted: str, path: Path) -> Any:
 
 
 def _section(document: dict[str, Any], dotted: str, path: Path) -> dict[str, Any]:
-    found = _find(document, dotted, path)
+    return _require_section(_find(document, dotted, path), dotted, path)
+
+
+def _require_section(found: Any, dotted: str, path: Path) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise ConfigError(f"{path}: '{dotted}' must be a section of keys and values, not {found!r}")
     return found

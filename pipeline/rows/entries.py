@@ -1,8 +1,9 @@
 """Names in params.yaml that no stage's settings hold: what is on, and what rows, sizes and ablations change."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 from pipeline.config import entries, is_plain, names, require_known, scalar
 from pipeline.errors import ConfigError
@@ -36,11 +37,15 @@ _STAGES: Mapping[str, tuple[str, ...]] = {
 """Stages whose settings the entries of a section change."""
 
 
-_SECTION = (dict,), "a section of keys and values, {} where it changes nothing"
-_NAME = (str,), "text"
-_KINDS = {"seed": ((int,), "a whole number"), "chosen": ((str, int), "'score' or the number of a shape")}
-"""Types of the values that are no names, and what a sentence calls them."""
-_CHOICE = re.compile(r"score|\d+")
+_Kind = tuple[Callable[[Any], bool], str]
+"""Whether a value is of the kind, and what a sentence calls it."""
+_SECTION: _Kind = (lambda value: isinstance(value, dict), "a section of keys and values, {} where it changes nothing")
+_NAME: _Kind = (lambda value: isinstance(value, str), "text")
+_VALUES: Mapping[str, _Kind] = {
+    "seed": (lambda value: type(value) is int, "a whole number"),
+    "chosen": (lambda value: re.fullmatch(r"score|\d+", str(value)) is not None, "'score' or the number of a shape"),
+}
+"""Kinds of the values that are no names."""
 
 
 def require_whole_entries(path: Path) -> None:
@@ -63,6 +68,6 @@ def require_whole_entries(path: Path) -> None:
             for key in (*values, *stages):
                 if key not in entry:
                     raise ConfigError(f"{path} has no '{section}.{name}.{key}'; write it as its neighbours have it")
-                kinds, words = _SECTION if key in stages else _KINDS.get(key, _NAME)
-                if type(entry[key]) not in kinds or (key == "chosen" and not _CHOICE.fullmatch(str(entry[key]))):
+                fits, words = _SECTION if key in stages else _VALUES.get(key, _NAME)
+                if not fits(entry[key]):
                     raise ConfigError(f"{path}: '{section}.{name}.{key}' must be {words}, not {entry[key]!r}")
