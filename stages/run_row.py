@@ -8,6 +8,7 @@ from pathlib import Path
 from pipeline.errors import ConfigError
 from pipeline.rows.turn_on import BASELINES, Options, turn_on, turn_on_baseline
 from stages.command_line import run
+from stages.settings import require_settings
 
 PARAMS = Path("params.yaml")
 
@@ -27,6 +28,7 @@ def main() -> None:
     parser.add_argument("--baseline", choices=BASELINES, help="measure this on the same photographs instead")
     options = Options(**vars(parser.parse_args()))
     name, stage = turn_on(PARAMS, options), "report"
+    require_settings(PARAMS, options.row, options.size, options.ablation)
     if options.baseline:
         stage = f"evaluate_{options.baseline}"
         turn_on_baseline(PARAMS, options.baseline, name)

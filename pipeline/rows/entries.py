@@ -48,6 +48,12 @@ _VALUES: Mapping[str, _Kind] = {
 """Kinds of the values that are no names."""
 
 
+def settings_of(stage: str, row: str, size: str, ablation: str) -> list[str]:
+    """Name the sections that a stage's settings are merged from: its own, then what row, size and ablation change."""
+    chosen = {"rows": row, "sizes": size, "ablations": ablation}
+    return [stage, *(f"{section}.{name}.{stage}" for section, name in chosen.items() if stage in _STAGES[section])]
+
+
 def require_whole_entries(path: Path) -> None:
     """Raise ConfigError for a name that nothing reads, with the nearest one, and for an entry that lacks a key.
 

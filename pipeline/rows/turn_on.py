@@ -1,7 +1,7 @@
 """Turn rows of the paper on in params.yaml."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +14,7 @@ from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
 from pipeline.networks.pose_coordinates import Framing
 from pipeline.networks.seed_choice import BY_SCORE
-from pipeline.rows.entries import require_whole_entries
+from pipeline.rows.entries import require_whole_entries, settings_of
 from pipeline.rows.params_file import put, round_trip_yaml
 from pipeline.rows.photographs import require_category, turn_on_dataset
 from pipeline.training.base_shape import BaseShapeConfig
@@ -75,21 +75,21 @@ def turn_on(path: Path, options: Options) -> str:
     document = yaml.load(text)
     for section in SWITCHES:
         document[section] = document[section] or CommentedMap()  # after the only entry was removed
-    for kind, name in _sections(options):
+    for kind, name in (("rows", options.row), ("sizes", options.size), ("ablations", options.ablation)):
         require_known(name, document[kind], f"{path}: {kind} has no")
     if options.seed < 0:
         raise ConfigError(f"SEED is {options.seed}; expected 0 or a greater number")
     _require_more(path, document, options)
     _require_base_shape(path, document, options)
-    sections = ("learn_base_shape", f"rows.{options.row}.learn_base_shape", f"sizes.{options.size}.learn_base_shape")
-    base, size = load(path, BaseShapeConfig, sections), _full_training(path, options).model.renderer.size
+    base = load(path, BaseShapeConfig, _settings("learn_base_shape", options))
+    size = _full_training(path, options).model.renderer.size
     if size % base.renderer.size and options.base_shape is None:
         raise ConfigError(
             f"full training compares {size} px, no multiple of the {base.renderer.size} px that base shapes are "
             "learned from; change one of the two `renderer.size`, or name a BASE_SHAPE="
         )
     if options.baseline == "hologan":
-        _require_that_hologan_draws(path, options.size, size)
+        _require_that_hologan_draws(path, options, size)
     dataset, category = _turn_on_photographs(document, options, size, base.framing)
     _turn_on_features(path, document, dataset, options)
     name = _turn_on_run(document, dataset, category, options)
@@ -111,8 +111,8 @@ def turn_on_baseline(path: Path, baseline: str, run: str) -> None:
         yaml.dump(document, temporary)
 
 
-def _sections(options: Options) -> Sequence[tuple[str, str]]:
-    return (("rows", options.row), ("sizes", options.size), ("ablations", options.ablation))
+def _settings(stage: str, options: Options) -> list[str]:
+    return settings_of(stage, options.row, options.size, options.ablation)
 
 
 def _turn_on_photographs(document: CommentedMap, options: Options, size: int, framing: Framing) -> tuple[str, str]:
@@ -222,9 +222,7 @@ def _require_more(path: Path, document: CommentedMap, options: Options) -> None:
 
 
 def _full_training(path: Path, options: Options) -> FullTrainingConfig:
-    """Load the settings of full training: its stage's, then what row, size and ablation change."""
-    changes = [f"{kind}.{name}.train_full" for kind, name in _sections(options)]
-    return load(path, FullTrainingConfig, ["train_full", *changes])
+    return load(path, FullTrainingConfig, _settings("train_full", options))
 
 
 def _require_base_shape(path: Path, document: CommentedMap, options: Options) -> None:
@@ -242,14 +240,14 @@ def _require_base_shape(path: Path, document: CommentedMap, options: Options) ->
         )
 
 
-def _require_that_hologan_draws(path: Path, size: str, picture_size: int) -> None:
+def _require_that_hologan_draws(path: Path, options: Options, picture_size: int) -> None:
     """Refuse a size whose pictures are larger than those that HoloGAN draws at it."""
-    settings = load(path, HoloGANTrainingConfig, ["train_hologan", f"sizes.{size}.train_hologan"])
+    settings = load(path, HoloGANTrainingConfig, _settings("train_hologan", options))
     drawn = settings.network.image_size
     if drawn != picture_size:
         raise ConfigError(
-            f"HoloGAN draws {drawn} px at size '{size}', but this run's pictures have {picture_size} px; choose another"
-            " SIZE=, or leave ABLATION= out"
+            f"HoloGAN draws {drawn} px at size '{options.size}', but this run's pictures have {picture_size} px; "
+            "choose another SIZE=, or leave ABLATION= out"
         )
 
 

@@ -11,6 +11,8 @@ from ruamel.yaml import YAML
 from pipeline.cli.measured_runs import measured_runs
 from pipeline.cli.runs import Run, photographs_file, truth_folder
 from pipeline.files import write_json
+from pipeline.rows.entries import settings_of
+from stages.settings import CONFIGS
 from tests.project.import_closure import ROOT, code_dependencies, import_closure, stage_bodies
 
 DOCUMENT = YAML(typ="safe").load(ROOT / "dvc.yaml")
@@ -44,6 +46,13 @@ def test_the_chain_is_complete() -> None:
 @pytest.mark.parametrize("stage", CHAIN)
 def test_code_dependencies_are_the_import_closure(stage: str) -> None:
     assert code_dependencies(STAGES[stage]) == import_closure(f"stages.{stage}"), "run `make dependencies`"
+
+
+def test_all_settings_of_a_run_are_looked_at_before_it_starts() -> None:
+    assert list(CONFIGS) == [stage for stage in CHAIN if stage not in ("prepare_data", *BASELINES)]
+    for stage in CONFIGS:
+        sections = settings_of(stage, "{item.row}", "{item.size}", "{item.ablation}")
+        assert sections == _options(stage)["--sections"]
 
 
 @pytest.mark.parametrize("stage", CHAIN)

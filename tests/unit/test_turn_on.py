@@ -11,6 +11,7 @@ from pipeline.datasets.survey import Contents, survey
 from pipeline.errors import ConfigError, UserError
 from pipeline.rows.params_file import round_trip_yaml
 from pipeline.rows.turn_on import Options, turn_on, turn_on_baseline
+from stages.settings import require_settings
 from tests.fresh_params import write_fresh_params
 from tests.pascal3d_tree import release
 from tests.picture_trees import tree, write_folder, write_tar
@@ -477,3 +478,20 @@ def test_a_category_that_the_photographs_have_not_changes_nothing(
     with pytest.raises(ConfigError, match=f"'cifar10' has no category '{known}s'; did you mean '{known}'"):
         turn_on(params, Options("cifar10-horse", category=f"{known}s", source=path))
     assert params.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("voxel_resolution: 32", "voxel_resolutions: 32", "did you mean"),
+        ("score_batches: 32", "score_batches: 0", "learn_base_shape.score_batches"),
+    ],
+)
+def test_settings_of_late_stages_are_looked_at_early(params: Path, old: str, new: str, message: str) -> None:
+    usual = ("toybox-car", "laptop", "none")
+    require_settings(params, *usual)
+    text = params.read_text(encoding="utf-8")
+    assert old in text
+    params.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(ConfigError, match=message):
+        require_settings(params, *usual)

@@ -1,0 +1,33 @@
+"""Settings of all stages of a run: looked at before its first stage starts, not hours later."""
+
+from pathlib import Path
+from typing import Any
+
+from pipeline.config import load
+from pipeline.evaluation.evaluate import EvaluateConfig
+from pipeline.export.report import ReportConfig
+from pipeline.rows.entries import settings_of
+from pipeline.training.base_shape import BaseShapeConfig
+from pipeline.training.features import FeaturesConfig
+from pipeline.training.fine_tune import FineTuneConfig
+from pipeline.training.full_trainer import FullTrainingConfig
+from stages.evaluate_base_shape import EvaluateBaseShapeConfig
+from stages.remesh import RemeshConfig
+
+CONFIGS: dict[str, type[Any]] = {
+    "train_features": FeaturesConfig,
+    "learn_base_shape": BaseShapeConfig,
+    "evaluate_base_shape": EvaluateBaseShapeConfig,
+    "remesh": RemeshConfig,
+    "train_full": FullTrainingConfig,
+    "fine_tune": FineTuneConfig,
+    "evaluate": EvaluateConfig,
+    "report": ReportConfig,
+}
+"""What the stages of a run, after its photographs are prepared, read of params.yaml."""
+
+
+def require_settings(params: Path, row: str, size: str, ablation: str) -> None:
+    """Raise ConfigError where a stage of such a run would, for a setting that is unknown, missing or out of range."""
+    for stage, config in CONFIGS.items():
+        load(params, config, settings_of(stage, row, size, ablation))
