@@ -132,6 +132,7 @@ def test_each_ablation_changes_what_its_name_says() -> None:
         "no-first-poses": {"first_poses": None, "ends": None},
         "no-ends": {"ends": None},
         "no-view-prior": {"view_prior": 0},
+        "no-copying-cost": {"copied_background": 0},
         "no-additions": {
             "first_poses": None,
             "ends": None,

@@ -17,15 +17,8 @@ from pipeline.rendering.lighting import Light, shade, vertex_normals
 from pipeline.rendering.rasterize import Fragments, rasterize
 from pipeline.rendering.texture import sample_sphere_texture
 from tests import rendering_in_torch
+from tests.gradients import gradients
 from tests.scenes import CONFIG, Scene
-
-
-def gradients(function: Callable[..., Tensor], *inputs: Tensor) -> tuple[Tensor, ...]:
-    """Return a function's value and the gradients of its sum under fixed random weights."""
-    leaves = [value.detach().clone().requires_grad_() for value in inputs]
-    value = function(*leaves)
-    weights = torch.randn(value.shape, generator=torch.Generator().manual_seed(9))
-    return tuple(result.float() for result in (value.detach(), *torch.autograd.grad((weights * value).sum(), leaves)))
 
 
 @pytest.fixture

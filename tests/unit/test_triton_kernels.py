@@ -26,6 +26,7 @@ from pipeline.rendering.interpolate import interpolate
 from pipeline.rendering.rasterize import Fragments, rasterize
 from pipeline.rendering.renderer import RendererConfig
 from pipeline.rendering.texture import sample_sphere_texture
+from tests.gradients import gradients
 from tests.project.import_closure import ROOT
 from tests.scenes import CONFIG, Scene
 from tests.triton_kernels import (
@@ -56,14 +57,6 @@ def large_programs(monkeypatch: pytest.MonkeyPatch) -> None:
 def on_device(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
     """Let a function take and return CPU tensors but work on the device."""
     return lambda *inputs: function(*(value.to(DEVICE) for value in inputs)).cpu()
-
-
-def gradients(function: Callable[..., Tensor], *inputs: Tensor) -> list[Tensor]:
-    """Return a function's value and the gradients of its sum under fixed random weights."""
-    leaves = [value.detach().clone().requires_grad_() for value in inputs]
-    value = function(*leaves)
-    weights = torch.randn(value.shape, generator=torch.Generator().manual_seed(9))
-    return [value.detach(), *torch.autograd.grad((weights * value).sum(), leaves)]
 
 
 def assert_close(actual: list[Tensor], expected: list[Tensor], tolerance: float) -> None:
