@@ -37,7 +37,6 @@ def test_an_end_that_is_nearly_undecided_leaves_the_axis_as_it_is() -> None:
 
 
 def test_a_head_that_sees_either_end_answers_with_one_of_them() -> None:
-    torch.manual_seed(0)
     decoder, code = PoseDecoder(4, 16, 1), torch.ones(64, 4)
     wanted = torch.zeros(64, 7)
     wanted[:, 0], wanted[:, 1] = math.cos(0.7), math.sin(0.7)
@@ -52,7 +51,6 @@ def test_a_head_that_sees_either_end_answers_with_one_of_them() -> None:
 
 
 def test_a_head_that_is_compared_with_itself_keeps_its_axis_and_box() -> None:
-    torch.manual_seed(0)
     said = PoseDecoder(code_size=4, hidden_size=8, ensemble=1)(torch.randn(200, 4))
     own = POSES.clamp(said.coordinates).detach()
     of_axis, of_others = torch.autograd.grad(200 * regression_error(said, own), [said.axis, said.others])
