@@ -234,7 +234,7 @@ def nearest(name: str, candidates: Iterable[str], prefix: str = "") -> str:
 
 
 def is_plain(name: str) -> bool:
-    """Whether a name can be a category's or a run's: a part of commands, of keys of params.yaml and of files."""
+    """Tell whether a name can be a category's or a run's: a part of commands, of keys of params.yaml and of files."""
     return re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]*", name) is not None
 
 

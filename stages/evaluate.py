@@ -6,7 +6,7 @@ import torch
 
 from pipeline.config import load
 from pipeline.datasets.images import load_images
-from pipeline.evaluation.artifacts import load_photographs, load_reconstructions, load_true_split, select
+from pipeline.evaluation.artifacts import load_photographs, load_reconstructions, load_truth, select
 from pipeline.evaluation.evaluate import EvaluateConfig, chain_result, evaluate_images, evaluate_truth
 from pipeline.evaluation.multiview import evaluate_views
 from pipeline.evaluation.tables import write_table
@@ -42,8 +42,8 @@ def main() -> None:
     if len(photographs) > 1:  # views of an object are compared with those of others
         views = evaluate_views(reconstructions, full_model, features, config.multiview, config.batch_size)
         figures |= {"multiview": views}
-    training, test = (load_true_split(arguments.truth, split, arguments.category) for split in ("train", "test"))
-    if test is not None and training is not None:
+    if (truth := load_truth(arguments.truth, arguments.category)) is not None:
+        training, test = truth
         (model, _), (mesh, _) = load_tensors(arguments.model), load_tensors(arguments.mesh)
         learned = chain_result(reconstructions, full_model, model, mesh)
         compared, columns = evaluate_truth(learned, training, select(test, reconstructions.test_index), config)

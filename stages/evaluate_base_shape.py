@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pipeline.config import load
-from pipeline.evaluation.artifacts import load_true_split
+from pipeline.evaluation.artifacts import load_truth
 from pipeline.evaluation.base_shape import base_shape_figures
 from pipeline.export.picture import sheet, write_png
 from pipeline.export.views import SEED_AZIMUTHS, ViewConfig, on_white, render_clay
@@ -38,10 +38,11 @@ def main() -> None:
     views = [on_white(render_clay(seed, faces, SEED_AZIMUTHS, config.camera, config.view)) for seed in seeds]
     chosen = choose_seed(arguments.chosen, scores.tolist(), arguments.base_shape.stem)
     write_png(arguments.figure, sheet(dict(zip(seed_names(scores, chosen), views, strict=True))))
-    training, test = (load_true_split(arguments.truth, split, arguments.category) for split in ("train", "test"))
-    figures = {}
-    if training is not None and test is not None and training.objects is not None and test.objects is not None:
-        figures = base_shape_figures(seeds, faces, chosen, training.objects, test.objects, config.voxel_resolution)
+    truth, figures = load_truth(arguments.truth, arguments.category), {}
+    if truth is not None:
+        training, test = truth
+        if training.objects is not None and test.objects is not None:
+            figures = base_shape_figures(seeds, faces, chosen, training.objects, test.objects, config.voxel_resolution)
     write_json(arguments.out, figures)
 
 

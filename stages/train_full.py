@@ -33,7 +33,7 @@ def main() -> None:
 
 
 def train(arguments: Namespace, device: torch.device) -> None:
-    """Train around the base mesh, then write the model, the recorded best poses and shapes, and the curve."""
+    """Train around the base mesh, then write the model, the recorded best poses, and the curve."""
     config = load(arguments.params, FullTrainingConfig, arguments.sections)
     memory = resolve_memory(scalar(arguments.params, "memory"))
     precision = resolve_precision(scalar(arguments.params, "precision"), device)

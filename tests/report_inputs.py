@@ -5,7 +5,7 @@ import torch
 from pipeline.evaluation.artifacts import Reconstructions, Snapshot
 from pipeline.export.report import ReportConfig, ReportInputs
 from pipeline.export.views import ViewConfig
-from pipeline.geometry.camera import CameraConfig, Pose
+from pipeline.geometry.camera import CameraConfig, level_pose
 from pipeline.geometry.icosphere import icosphere
 
 CAMERA = CameraConfig(distance=2.7, field_of_view=30.0)
@@ -36,7 +36,7 @@ def inputs(truth: bool) -> ReportInputs:
     sphere, faces = icosphere(2)
     directions = sphere.float()
     zeros = torch.zeros(COUNT)
-    ahead = Pose(zeros, zeros, zeros, torch.zeros(COUNT, 2), zeros + 1)
+    ahead = level_pose(zeros, zeros)
     turned = ahead._replace(azimuth=torch.tensor([0.0, 0, 0, 30]).deg2rad())
     base = directions * DIMENSIONS / 2
     vertices = base.expand(COUNT, -1, -1)

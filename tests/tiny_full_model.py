@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from pipeline.datasets.images import to_bytes
 from pipeline.geometry.camera import CameraConfig
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
@@ -166,7 +167,7 @@ def photographs_of(
             torch.full((count, 3, 32, 32), 0.8),
         )
     )
-    return (pictures.clamp(0, 1) * 255).round().to(torch.uint8)
+    return to_bytes(pictures)
 
 
 def tiny_scenes() -> LearnedScenes:

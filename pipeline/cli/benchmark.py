@@ -7,7 +7,7 @@ from pipeline.cli.runs import photographs_file, truth_folder
 from pipeline.config import load, nearest
 from pipeline.datasets.images import load_images
 from pipeline.errors import ConfigError, DataError
-from pipeline.evaluation.artifacts import load_true_split
+from pipeline.evaluation.artifacts import load_truth
 from pipeline.evaluation.benchmark import benchmark_figures
 from pipeline.evaluation.evaluate import EvaluateConfig
 from pipeline.evaluation.predictions import Counts, read_predictions
@@ -24,11 +24,10 @@ def benchmark(predictions: Path, project: Path, dataset: str, category: str, out
         raise DataError(f"{out} cannot be written; name a file that ends in .json")
     config = load(project / "params.yaml", EvaluateConfig, ["evaluate"])
     folder = truth_folder(project, dataset)
-    training, test = (load_true_split(folder, split, category) for split in ("train", "test"))
-    if training is None or test is None:
+    if (truth := load_truth(folder, category)) is None:
         raise ConfigError(f"{folder} has no category '{category}'{nearest(category, read_json(folder / 'index.json'))}")
     photographs = load_images(photographs_file(project, dataset, "test", category))
-    counts = Counts(len(training.pose.azimuth), len(photographs), photographs.shape[-1])
-    figures = benchmark_figures(read_predictions(predictions, counts), training, test, photographs, config)
+    counts = Counts(len(truth[0].pose.azimuth), len(photographs), photographs.shape[-1])
+    figures = benchmark_figures(read_predictions(predictions, counts), *truth, photographs, config)
     write_json(out, figures)
     return figures

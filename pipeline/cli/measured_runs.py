@@ -24,5 +24,5 @@ def measured_runs(project: Path) -> list[MeasuredRun]:
 
 
 def runs_page(project: Path) -> Path:
-    """Where the page of all runs is written: beside the folders of the runs' pages, outside the graph."""
+    """Return where the page of all runs is written: beside the folders of the runs' pages, outside the graph."""
     return project / "results" / "report" / "index.html"

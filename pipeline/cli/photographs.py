@@ -38,7 +38,7 @@ class Target(NamedTuple):
         return self.path.with_name(self.path.name + ending)
 
     def done(self, outputs: Sequence[str]) -> bool:
-        """Whether all files of the outputs are there; each is written whole or not at all."""
+        """Tell whether all files of the outputs are there; each is written whole or not at all."""
         return all(self.file(ending).is_file() for output in outputs for ending in FILES[output])
 
 
@@ -49,7 +49,7 @@ class Task(NamedTuple):
     target: Target
 
     def done(self, outputs: Sequence[str]) -> bool:
-        """Whether the outputs are there. Raises DataError where they, or some of them, are of another photograph."""
+        """Tell whether the outputs are there. Raises DataError where some of them are of another photograph."""
         origin = self.target.file(ORIGIN)
         if not origin.is_file():
             return False

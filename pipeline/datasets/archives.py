@@ -99,7 +99,7 @@ def walk(folder: Path) -> Iterator[Path]:
 
 
 def is_hidden(name: PurePath) -> bool:
-    """Whether a path inside a folder is of those that systems put there for themselves."""
+    """Tell whether a path inside a folder is of those that systems put there for themselves."""
     return any(part.startswith((".", "__MACOSX")) for part in name.parts)
 
 

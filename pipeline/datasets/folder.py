@@ -74,7 +74,7 @@ class _Others:
         self.count, self.first = 0, PurePosixPath()
 
     def wanted(self, name: PurePosixPath) -> bool:
-        """Whether a file is a picture, or a folder may be a category's: an empty one is to be noticed."""
+        """Tell whether a file is a picture, or a folder may be a category's: an empty one is to be noticed."""
         if name.suffix.lower() in ENDINGS or (len(name.parts) > 1 and name.parts[-2] in SPLITS):
             return True
         if name.suffix and not is_hidden(name):

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Int, UInt8
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
-from torch.nn.functional import avg_pool2d
+from torch.nn import functional
 
 from pipeline.errors import DataError
 
@@ -44,6 +44,11 @@ class MappedImages:
 
 Images = UInt8[Tensor, "N 3 H W"] | MappedImages
 """Pictures on the device, or on disk where they do not fit there: both give the same bytes for the same rows."""
+
+
+def to_bytes(colors: Float[Tensor, "*shape"]) -> UInt8[Tensor, "*shape"]:
+    """Round colours to whole numbers of 255ths; what is below 0 or above 1 becomes 0 or 255."""
+    return (colors.clamp(0, 1) * 255).round().byte()
 
 
 def load_images(path: Path) -> UInt8[Tensor, "N 3 H W"]:
@@ -101,4 +106,4 @@ def place_images(
 def _reduce(images: UInt8[Tensor, "N 3 _ _"], size: int) -> UInt8[Tensor, "N 3 {size} {size}"]:
     """Average pictures over squares of pixels."""
     factor = images.shape[-1] // size
-    return images if factor == 1 else avg_pool2d(images.float(), factor).round().byte()
+    return images if factor == 1 else functional.avg_pool2d(images.float(), factor).round().byte()

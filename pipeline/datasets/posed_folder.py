@@ -37,7 +37,7 @@ def read_viewpoints(path: Path, names: Names) -> Truth:
 
 
 def is_table(name: PurePosixPath) -> bool:
-    """Whether a path inside the source names a table."""
+    """Tell whether a path inside the source names a table."""
     return name.name == TABLE and not is_hidden(name)
 
 

@@ -17,7 +17,7 @@ from pipeline.files import atomic_path, write_json
 
 SPLITS = ("train", "test")
 
-Images = Mapping[str, Mapping[str, UInt8[np.ndarray, "_ H W 3"]]]
+Arrays = Mapping[str, Mapping[str, UInt8[np.ndarray, "_ H W 3"]]]
 """RGB pictures by split and category, all of one square size; both splits have the same categories."""
 Truth = Mapping[str, Mapping[str, GroundTruth | Viewpoints]]
 """Ground truth of those categories that have one, by split."""
@@ -28,7 +28,7 @@ Names = Mapping[str, Mapping[str, Sequence[str]]]
 class Dataset(NamedTuple):
     """Pictures that fit in memory, and their ground truth."""
 
-    images: Images
+    images: Arrays
     truth: Truth
 
 
@@ -41,7 +41,7 @@ class Picture(NamedTuple):
     pixels: UInt8[np.ndarray, "H W 3"]
 
 
-def write_images(folder: Path, images: Images) -> None:
+def write_images(folder: Path, images: Arrays) -> None:
     """Write `<split>/<category>.npy` and `index.json` (categories, counts, size) of pictures in memory."""
     for split, group in images.items():
         (folder / split).mkdir(parents=True)

@@ -105,14 +105,18 @@ def load_photographs(path: Path, index: Int[Tensor, " B"]) -> Float[Tensor, "B 3
     return load_images(path)[index].contiguous().float() / 255
 
 
-def load_true_split(folder: Path, split: str, category: str) -> Truth | None:
-    """Read the ground truth of one split of a category, or return None where the dataset has none for it.
+def load_truth(folder: Path, category: str) -> tuple[Truth, Truth] | None:
+    """Read the ground truth of a category's training and test split, or return None where the dataset has none.
 
     Raises DataError for a damaged file.
     """
     if category not in read_json(folder / "index.json"):
         return None
-    tensors = _read_arrays(folder / split / f"{category}.npz")
+    return _load_split(folder / "train", category), _load_split(folder / "test", category)
+
+
+def _load_split(folder: Path, category: str) -> Truth:
+    tensors = _read_arrays(folder / f"{category}.npz")
     pose = Pose(*(tensors[name] for name in Pose._fields))
     if "vertices" not in tensors:
         return Truth(pose, None)

@@ -1,7 +1,5 @@
 """Measure the predictions of any method by what a run of this pipeline is measured by, under the same keys."""
 
-from typing import Any
-
 from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
@@ -14,10 +12,8 @@ from pipeline.evaluation.image_metrics import pixel_columns
 from pipeline.evaluation.predictions import SPLIT, Meshes, Predictions
 from pipeline.evaluation.shape import iou
 from pipeline.evaluation.shape_metrics import TrueShapes, constant_mask_figure
-from pipeline.evaluation.statistics import mean_figure
+from pipeline.evaluation.statistics import Figures, mean_figure
 from pipeline.seeding import generator
-
-Figures = dict[str, Any]
 
 
 def benchmark_figures(

@@ -1,4 +1,4 @@
-"""Measure one run: its reconstructions, and its viewpoints and shapes where the truth is known (design: Evaluate)."""
+"""Measure one run: its reconstructions, and its viewpoints and shapes where the truth is known."""
 
 import math
 from collections.abc import Mapping
@@ -16,7 +16,7 @@ from pipeline.evaluation.pose_metrics import angle_columns, baseline_figures, po
 from pipeline.evaluation.retrieval import retrieve
 from pipeline.evaluation.shape import iou, vertex_deviation
 from pipeline.evaluation.shape_metrics import ShapeMetricsConfig, TrueShapes, constant_mask_figure, silhouettes
-from pipeline.evaluation.statistics import mean_figure
+from pipeline.evaluation.statistics import Columns, mean_figure
 from pipeline.geometry.camera import Pose, pose_from_tensor
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel
@@ -79,9 +79,6 @@ class PoseEstimates(NamedTuple):
     training: Pose
     training_index: Int[Tensor, " N"]
     test: Mapping[str, Pose]
-
-
-Columns = dict[str, Tensor]
 
 
 def evaluate_images(

@@ -7,11 +7,9 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pipeline.evaluation.image import psnr, ssim
-from pipeline.evaluation.statistics import mean_figure
+from pipeline.evaluation.statistics import Columns, mean_figure
 from pipeline.losses.image_distance import feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor
-
-Columns = dict[str, Tensor]
 
 
 @torch.no_grad()

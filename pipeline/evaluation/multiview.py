@@ -6,7 +6,7 @@ The same protocol serves every method that can draw its objects from any side (d
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import torch
 from jaxtyping import Float
@@ -17,15 +17,14 @@ from pipeline.errors import DataError
 from pipeline.evaluation.alignment import fit_alignment
 from pipeline.evaluation.artifacts import Reconstructions, render_tuned
 from pipeline.evaluation.pose import ACCURATE
-from pipeline.evaluation.statistics import accuracy_figure, mean_figure
-from pipeline.geometry.camera import Pose
+from pipeline.evaluation.statistics import Figures, accuracy_figure, mean_figure
+from pipeline.geometry.camera import level_pose
 from pipeline.losses.image_distance import feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel
 from pipeline.ranges import Count, Elevation, Positive, Range, Several
 
 GRID = 4
-Figures = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -100,7 +99,7 @@ def student_figures(views: Float[Tensor, "B K 3 H W"], model: FullModel, config:
     coordinates = torch.stack([model.read_poses(images) for images in views.unbind(1)], dim=1)
     read = torch.atan2(coordinates[..., 1], coordinates[..., 0])
     azimuths = config.azimuths().expand(views.shape[:2])
-    offset = fit_alignment(_level(azimuths), _level(read))
+    offset = fit_alignment(*(level_pose(turns.flatten(), torch.zeros(turns.numel())) for turns in (azimuths, read)))
     return azimuth_figures(azimuths, read + offset)
 
 
@@ -162,9 +161,3 @@ def _describe(
     """Return feature maps pooled to 4x4: coarse enough for a linear regression, and cheap to keep."""
     layers = zip(*(extractor(batch) for batch in images.split(batch_size)), strict=True)
     return [torch.cat([functional.adaptive_avg_pool2d(batch, GRID) for batch in layer]) for layer in layers]
-
-
-def _level(azimuths: Float[Tensor, "B K"]) -> Pose:
-    flat = azimuths.flatten()
-    zeros = torch.zeros_like(flat)
-    return Pose(flat, zeros, zeros, torch.stack([zeros, zeros], dim=1), torch.ones_like(flat))

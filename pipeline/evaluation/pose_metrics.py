@@ -1,7 +1,6 @@
-"""The pose section of a run's metrics, with what chance and a constant answer reach beside it (design: Evaluate)."""
+"""The pose section of a run's metrics, with what chance and a constant answer reach beside it."""
 
 import math
-from typing import Any
 
 import torch
 from jaxtyping import Float
@@ -9,11 +8,8 @@ from torch import Tensor
 
 from pipeline.evaluation.alignment import chance_errors, fit_constant
 from pipeline.evaluation.pose import ACCURATE, MODES, error_mode, geodesic_distance, pose_error, rotation, seen_side
-from pipeline.evaluation.statistics import accuracy_figure, mean_figure, median_figure
+from pipeline.evaluation.statistics import Columns, Figures, accuracy_figure, mean_figure, median_figure
 from pipeline.geometry.camera import Pose
-
-Columns = dict[str, Tensor]
-Figures = dict[str, Any]
 
 
 def angle_columns(pose: Pose) -> Columns:

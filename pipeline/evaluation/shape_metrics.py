@@ -1,4 +1,4 @@
-"""The shape section of a run's metrics: volumes, surfaces and masks against the ground truth (design: Evaluate)."""
+"""The shape section of a run's metrics: volumes, surfaces and masks against the ground truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,13 +10,11 @@ from torch import Tensor
 
 from pipeline.evaluation.artifacts import Snapshot, TrueObjects
 from pipeline.evaluation.shape import chamfer_l1, fit_constant, iou, proportions, sample_outer_surface
-from pipeline.evaluation.statistics import Figure, correlation_figure, mean_figure
+from pipeline.evaluation.statistics import Columns, Figure, correlation_figure, mean_figure
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.voxels import voxelize
 from pipeline.ranges import Count
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
-
-Columns = dict[str, Tensor]
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,16 @@
 """Figures: a number together with how many samples it rests on and how far chance may have moved it."""
 
+from typing import Any
+
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+Columns = dict[str, Tensor]
+"""Values by name, one a picture."""
 Figure = dict[str, float | int]
+Figures = dict[str, Any]
+"""Figures by name, in sections."""
 
 BOOTSTRAP_DRAWS = 200
 ROUNDING = 1e-6

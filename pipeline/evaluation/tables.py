@@ -10,10 +10,8 @@ from torch import Tensor
 from pipeline.evaluation.pose import MODES
 from pipeline.files import atomic_path
 
-Columns = Mapping[str, Tensor]
 
-
-def write_table(path: Path, columns: Columns) -> None:
+def write_table(path: Path, columns: Mapping[str, Tensor]) -> None:
     """Write columns of equal length as CSV, atomically; error modes are spelt out, fractions have six digits."""
     table = pandas.DataFrame({name: _texts(name, values) for name, values in columns.items()})
     with atomic_path(path) as temporary:

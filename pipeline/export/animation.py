@@ -9,6 +9,7 @@ from jaxtyping import Float, UInt8
 from PIL import Image
 from torch import Tensor
 
+from pipeline.datasets.images import to_bytes
 from pipeline.errors import ConfigError, DataError
 from pipeline.files import atomic_path
 
@@ -56,4 +57,4 @@ def _of_256_colors(frame: UInt8[np.ndarray, "H W 3"]) -> Image.Image:
 
 
 def _pixels(frames: Float[Tensor, "K 3 H W"]) -> UInt8[np.ndarray, "K H W 3"]:
-    return (frames.clamp(0, 1) * 255).round().byte().permute(0, 2, 3, 1).numpy()
+    return to_bytes(frames).permute(0, 2, 3, 1).numpy()

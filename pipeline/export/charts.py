@@ -36,11 +36,11 @@ def spanning_axis(values: Sequence[float], label: str) -> Axis:
     return Axis(first * step, last * step, [index * step for index in range(first, last + 1)], label)
 
 
-def line_chart(series: Mapping[str, Sequence[Point]], x_label: str, y_label: str) -> str:
-    """Draw one line for each named series; a legend is drawn for two or more."""
+def line_chart(series: Mapping[str, Sequence[Point]], label: str) -> str:
+    """Draw one line over iterations for each named series; a legend is drawn for two or more."""
     points = [point for line in series.values() for point in line]
-    x_axis = spanning_axis([x for x, _ in points], x_label)
-    y_axis = spanning_axis([y for _, y in points], y_label)
+    x_axis = spanning_axis([x for x, _ in points], "iteration")
+    y_axis = spanning_axis([y for _, y in points], label)
     lines, keys = [], {}
     for index, (name, line) in enumerate(series.items()):
         path = " ".join(f"{_x(x, x_axis):.1f},{_y(y, y_axis):.1f}" for x, y in line)

@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 from torch.nn import functional
 
+from pipeline.datasets.images import to_bytes
 from pipeline.errors import ConfigError
 from pipeline.geometry.camera import CameraConfig, Pose, project, rotation_from_angles
 from pipeline.ranges import Count, Fraction, Positive
@@ -113,7 +114,7 @@ def find_object(photograph: Float[Tensor, "3 H W"], covered: Bool[Tensor, "H W"]
         return covered
     labels = np.where(silhouette > 0, cv2.GC_PR_FGD, cv2.GC_PR_BGD)
     labels = np.where(inside, cv2.GC_FGD, np.where(around, labels, cv2.GC_BGD)).astype(np.uint8)
-    pixels = (photograph * 255).round().byte().permute(1, 2, 0).contiguous().numpy()
+    pixels = to_bytes(photograph).permute(1, 2, 0).contiguous().numpy()
     cv2.setRNGSeed(0)  # of the clusters that the colour models start from
     colors = np.zeros((2, 1, 65))
     cv2.grabCut(pixels, labels, (0, 0, 1, 1), colors[0], colors[1], _GRAB_CUT_ROUNDS, cv2.GC_INIT_WITH_MASK)

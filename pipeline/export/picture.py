@@ -11,6 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
+from pipeline.datasets.images import to_bytes
 from pipeline.files import atomic_path
 
 GAP = 4
@@ -59,7 +60,7 @@ def strip(pictures: Float[Tensor, "K C H W"]) -> Float[Tensor, "C H width"]:
 
 def encode_png(picture: Float[Tensor, "C H W"]) -> bytes:
     """Encode a picture of 3 (RGB) or 4 (RGB and opacity) channels in [0, 1]; the same picture gives the same bytes."""
-    pixels = (picture.clamp(0, 1) * 255).round().byte().permute(1, 2, 0).contiguous().numpy()
+    pixels = to_bytes(picture).permute(1, 2, 0).contiguous().numpy()
     to_opencv = cv2.COLOR_RGBA2BGRA if picture.shape[0] == 4 else cv2.COLOR_RGB2BGR
     _, encoded = cv2.imencode(".png", cv2.cvtColor(pixels, to_opencv), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     return encoded.tobytes()

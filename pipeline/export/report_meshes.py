@@ -9,10 +9,10 @@ from torch import Tensor
 from pipeline.export.glb import encode_glb
 from pipeline.export.picture import data_uri
 from pipeline.export.report_page import captioned, grid, image
-from pipeline.export.report_pictures import SEED_AZIMUTHS, Gallery, example_figures
+from pipeline.export.report_pictures import Gallery, example_figures
 from pipeline.export.seam import UnwrappedMesh, cut_open
 from pipeline.export.viewer import Exhibit
-from pipeline.export.views import CLAY
+from pipeline.export.views import CLAY, SEED_AZIMUTHS
 from pipeline.rendering.lighting import vertex_normals
 
 BASE_SHAPES = "Base shapes"

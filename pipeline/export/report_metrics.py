@@ -151,7 +151,7 @@ def curve_section(curves: Mapping[str, Mapping[str, list[str]]]) -> Section:
         if not columns["iteration"]:
             continue
         names = [name for name in columns if name not in ("iteration", "seed") and any(map(float, columns[name]))]
-        charts = [line_chart(seed_lines(columns, name), "iteration", _words(name)) for name in names]
+        charts = [line_chart(seed_lines(columns, name), _words(name)) for name in names]
         parts.append(f"<h3>{escape(_words(stage))}</h3>{grid('charts', charts)}")
     introduction = (
         "Losses and accuracies as recorded during training; terms of a loss stand here without their weights of "

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn import functional
 
 from pipeline.rendering.lighting import vertex_normals
 
@@ -40,7 +41,7 @@ class Seam(NamedTuple):
         margin = 0.5 / texture_size
         return UnwrappedMesh(
             self.mixture @ vertices,
-            torch.nn.functional.normalize(self.mixture @ normals, dim=1),
+            functional.normalize(self.mixture @ normals, dim=1),
             torch.stack([self.uv[:, 0], self.uv[:, 1].clamp(margin, 1 - margin)], dim=1),
             self.cut_faces,
         )
@@ -53,7 +54,7 @@ def cut_open(faces: Int[Tensor, "F 3"], directions: Float[Tensor, "V 3"]) -> Sea
     its own, above the middle of its base.
     """
     count, cut_faces = len(directions), faces
-    mixture, directions = torch.eye(count), torch.nn.functional.normalize(directions, dim=1)
+    mixture, directions = torch.eye(count), functional.normalize(directions, dim=1)
     for sign in (1.0, -1.0):
         mixture, directions, cut_faces = _split_at_pole(mixture, directions, cut_faces, sign)
     uv = _corner_uv(directions, cut_faces).flatten(0, 1)

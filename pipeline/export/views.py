@@ -9,7 +9,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from pipeline.geometry.camera import CameraConfig, Pose
+from pipeline.geometry.camera import CameraConfig, level_pose
 from pipeline.ranges import Count, Elevation
 from pipeline.rendering.lighting import Light
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
@@ -79,7 +79,7 @@ def _render(
     """Render from all turns in one batch; colours are those of the covered part of each pixel, opacity is its share."""
     count = len(turns)
     elevation = torch.full_like(turns, math.radians(config.elevation))
-    pose = Pose(turns, elevation, torch.zeros_like(turns), torch.zeros(count, 2), torch.ones_like(turns))
+    pose = level_pose(turns, elevation)
     mesh = Mesh(vertices.expand(count, -1, -1), faces, directions)
     renderer = RendererConfig(camera=camera, size=config.size, supersampling=config.supersampling)
     images, silhouettes = render(mesh, texture.expand(count, -1, -1, -1), pose, None, light, renderer)

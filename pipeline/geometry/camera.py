@@ -43,6 +43,12 @@ class Pose(NamedTuple):
         return Pose(*(values[index] for values in self))
 
 
+def level_pose(azimuth: Float[Tensor, "B"], elevation: Float[Tensor, "B"]) -> Pose:
+    """Return poses without roll, at the picture's centre and at scale 1."""
+    zeros = torch.zeros_like(azimuth)
+    return Pose(azimuth, elevation, zeros, torch.stack([zeros, zeros], dim=1), torch.ones_like(azimuth))
+
+
 def pose_to_tensor(pose: Pose) -> Float[Tensor, "B 6"]:
     """Stack a pose as azimuth, elevation, roll, center x, center y, scale."""
     angles = torch.stack((pose.azimuth, pose.elevation, pose.roll), dim=1)

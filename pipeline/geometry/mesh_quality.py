@@ -7,9 +7,6 @@ from pipeline.geometry.remeshing import MappedMesh
 from pipeline.geometry.sphere_map import area_distortion, area_ratios
 from pipeline.geometry.topology import polygon_areas
 
-# Distances are taken from the corners after this many splits of every edge: 16 times as many polygons.
-SPLITS = 2
-
 
 def measure_remeshing(original: MappedMesh, remeshed: MappedMesh) -> dict[str, float]:
     """Compare a mesh before and after remeshing.
@@ -55,8 +52,8 @@ def surface_distance(first: MappedMesh, second: MappedMesh) -> dict[str, float]:
     `hausdorff` is the largest distance from either surface to the other; `mean_distance` the larger one of the two mean
     distances.
     """
-    there = one_sided_distance(first[:2], second[:2], SPLITS)
-    back = one_sided_distance(second[:2], first[:2], SPLITS)
+    there = one_sided_distance(first[:2], second[:2])
+    back = one_sided_distance(second[:2], first[:2])
     diagonal = (first.vertices.amax(dim=0) - first.vertices.amin(dim=0)).norm().item()
     return {
         "hausdorff": max(there["max"], back["max"]) / diagonal,

@@ -80,16 +80,15 @@ def isotropic_remeshing(
 def one_sided_distance(
     sampled: tuple[Float[Tensor, "V 3"], Int[Tensor, "F 3"]],
     target: tuple[Float[Tensor, "W 3"], Int[Tensor, "H 3"]],
-    splits: int,
 ) -> dict[str, float]:
     """Measure how far one surface strays from another: `max` and `mean` over the samples.
 
-    Samples are the corners after every edge of the sampled mesh was split in two, `splits` times.
+    Samples are the corners after every edge of the sampled mesh was split in two, twice: 16 times as many polygons.
     """
     meshes = pymeshlab.MeshSet()
     meshes.add_mesh(_mesh(*target))
     meshes.add_mesh(_mesh(*sampled))
-    meshes.meshing_surface_subdivision_midpoint(iterations=splits, threshold=pymeshlab.PureValue(0))
+    meshes.meshing_surface_subdivision_midpoint(iterations=2, threshold=pymeshlab.PureValue(0))
     result = meshes.get_hausdorff_distance(sampledmesh=1, targetmesh=0, maxdist=pymeshlab.PercentageValue(100))
     return {"max": result["max"], "mean": result["mean"]}
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn import functional
 
 from pipeline.errors import MeshError
 from pipeline.geometry.topology import polygon_areas
@@ -144,7 +145,7 @@ def _unfold(
         corners = faces[flipped].unique()
         middle = adjacency[corners] @ directions
         middle[on_plane[corners], 0] = 0
-        directions = directions.index_copy(0, corners, torch.nn.functional.normalize(middle, dim=1))
+        directions = directions.index_copy(0, corners, functional.normalize(middle, dim=1))
     return directions
 
 
@@ -155,7 +156,7 @@ def _enlargement(
 
     Areas in the disk stay positive where a triangle of the sphere with long sides is still flipped.
     """
-    embedded = polygon_areas(torch.nn.functional.pad(positions, (0, 1)), faces)
+    embedded = polygon_areas(functional.pad(positions, (0, 1)), faces)
     logarithms = (embedded / polygon_areas(vertices, faces)).clamp(min=SMALLEST_RATIO).log()
     total = logarithms.new_zeros(len(vertices)).index_add(0, faces.flatten(), logarithms.repeat_interleave(3))
     return (total / torch.bincount(faces.flatten())).exp()

@@ -1,9 +1,9 @@
 """Texels that copy the background: what they paint is not the object (ours)."""
 
 import torch
-import torch.nn.functional as functional
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional
 
 from pipeline.distributed import average_all
 

@@ -3,9 +3,9 @@
 from typing import Any
 
 import torch
-import torch.nn.functional as functional
 from jaxtyping import Float
 from torch import Tensor
+from torch.nn import functional
 
 
 class _ReverseGradient(torch.autograd.Function):

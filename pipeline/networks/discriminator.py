@@ -3,9 +3,9 @@
 from itertools import pairwise
 
 import torch
-import torch.nn.functional as functional
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn import functional
 
 
 class ViewDiscriminator(nn.Module):

@@ -6,9 +6,9 @@ from itertools import pairwise
 from typing import Literal
 
 import torch
-import torch.nn.functional as functional
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn import functional
 
 from pipeline.errors import ConfigError
 from pipeline.ranges import Count

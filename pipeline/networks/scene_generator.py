@@ -74,7 +74,7 @@ class SceneConfig:
 
 
 class Scene(NamedTuple):
-    """A batch of generated objects before backgrounds.
+    """A batch of generated objects, and the backgrounds behind them.
 
     Attributes:
         vertices: world space, inside the unit cube.

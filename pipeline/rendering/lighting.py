@@ -5,6 +5,7 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.nn import functional
 
 
 class Light(NamedTuple):
@@ -29,7 +30,7 @@ def vertex_normals(vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"]) 
     normals = torch.zeros_like(rows)
     for corner in faces.unbind(1):
         normals = normals.index_add(0, corner, face_normals)
-    return torch.nn.functional.normalize(normals.view(count, batch, 3).transpose(0, 1), dim=-1)
+    return functional.normalize(normals.view(count, batch, 3).transpose(0, 1), dim=-1)
 
 
 def shade(vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], light: Light) -> Float[Tensor, "B V"]:

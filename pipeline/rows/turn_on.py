@@ -14,7 +14,7 @@ from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
 from pipeline.networks.pose_coordinates import Framing
 from pipeline.networks.seed_choice import BY_SCORE
-from pipeline.rows.entries import require_whole_entries, settings_of
+from pipeline.rows.entries import NAMES, require_whole_entries, settings_of
 from pipeline.rows.params_file import put, round_trip_yaml
 from pipeline.rows.photographs import require_category, turn_on_dataset
 from pipeline.training.base_shape import BaseShapeConfig
@@ -81,16 +81,8 @@ def turn_on(path: Path, options: Options) -> str:
         raise ConfigError(f"SEED is {options.seed}; expected 0 or a greater number")
     _require_more(path, document, options)
     _require_base_shape(path, document, options)
-    base = load(path, BaseShapeConfig, _settings("learn_base_shape", options))
-    size = _full_training(path, options).model.renderer.size
-    if size % base.renderer.size and options.base_shape is None:
-        raise ConfigError(
-            f"full training compares {size} px, no multiple of the {base.renderer.size} px that base shapes are "
-            "learned from; change one of the two `renderer.size`, or name a BASE_SHAPE="
-        )
-    if options.baseline == "hologan":
-        _require_that_hologan_draws(path, options, size)
-    dataset, category = _turn_on_photographs(document, options, size, base.framing)
+    size, framing = _pictures(path, options)
+    dataset, category = _turn_on_photographs(document, options, size, framing)
     _turn_on_features(path, document, dataset, options)
     name = _turn_on_run(document, dataset, category, options)
     if path.read_text(encoding="utf-8") != text:  # an archive takes minutes to look through
@@ -104,9 +96,8 @@ def turn_on_baseline(path: Path, baseline: str, run: str) -> None:
     """Add the baseline beside a run that is on, with the settings of the run that it shares."""
     yaml = round_trip_yaml()
     document = yaml.load(path)
-    settings = ("size", "seed", "dataset", "category", "features")
     document[baseline].fa.set_block_style()
-    put(document[baseline], run, {name: document["runs"][run][name] for name in settings})
+    put(document[baseline], run, {name: document["runs"][run][name] for name in NAMES[baseline]})
     with atomic_path(path) as temporary:
         yaml.dump(document, temporary)
 
@@ -223,6 +214,20 @@ def _require_more(path: Path, document: CommentedMap, options: Options) -> None:
 
 def _full_training(path: Path, options: Options) -> FullTrainingConfig:
     return load(path, FullTrainingConfig, _settings("train_full", options))
+
+
+def _pictures(path: Path, options: Options) -> tuple[int, Framing]:
+    """Return the size of a run's pictures, at which every part of it can work, and how objects are framed in them."""
+    base = load(path, BaseShapeConfig, _settings("learn_base_shape", options))
+    size = _full_training(path, options).model.renderer.size
+    if size % base.renderer.size and options.base_shape is None:
+        raise ConfigError(
+            f"full training compares {size} px, no multiple of the {base.renderer.size} px that base shapes are "
+            "learned from; change one of the two `renderer.size`, or name a BASE_SHAPE="
+        )
+    if options.baseline == "hologan":
+        _require_that_hologan_draws(path, options, size)
+    return size, base.framing
 
 
 def _require_base_shape(path: Path, document: CommentedMap, options: Options) -> None:

@@ -234,7 +234,8 @@ def learn_base_shape(
     size = world().size
     parts = size if config.seeds > size and config.seeds % size else 1
 
-    def learn_part(number: int) -> Learned | None:
+    def learn(number: int) -> Learned | None:
+        gc.collect()  # a recorded step refers to its trainer, and keeps a GPU's memory as long
         part, index = divmod(number, config.seeds)
         trainer = SeedTrainer(config, sphere, photographs, extractor, seed, index)
         checkpoint, until = Checkpoint(checkpoints / str(index), key), config.iterations * (part + 1) // parts
@@ -243,11 +244,6 @@ def learn_base_shape(
             return None
         rows = [{"seed": index, **row} for row in curve.rows]
         return Learned(trainer.shape().cpu(), trainer.score(), trainer.scene.cpu(), rows)
-
-    def learn(number: int) -> Learned | None:
-        learned = learn_part(number)
-        gc.collect()  # a recorded step refers to its trainer, and keeps a GPU's memory as long
-        return learned
 
     return _gather(sphere, [one for one in divide(learn, config.seeds * parts) if one is not None])
 

@@ -8,7 +8,7 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 from tqdm import tqdm
 
-from pipeline.datasets.images import Images
+from pipeline.datasets.images import Images, to_bytes
 from pipeline.geometry.camera import pose_to_tensor
 from pipeline.losses.image_distance import Features, feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
@@ -148,13 +148,14 @@ def _fine_tune_batch(
     config: FineTuneConfig, images: UInt8[Tensor, "B 3 H W"], model: FullModel, extractor: FeatureExtractor
 ) -> dict[str, Tensor]:
     features = [layer.float() for layer in extract(extractor, images, len(images))]
+    compared = comparable(features, config.map_weights)
 
     def loss(reconstruction: Reconstruction) -> Float[Tensor, " B"]:
         return feature_distance(features, extractor(model.render(reconstruction)))
 
     def distance(reconstruction: Reconstruction) -> Float[Tensor, " B"]:
         rendered = comparable(extractor(model.render(reconstruction), len(config.map_weights)), config.map_weights)
-        return feature_distance(comparable(features, config.map_weights), rendered)
+        return feature_distance(compared, rendered)
 
     outputs = Outputs(model, images.float() / 255, features)
     results, first = _describe(outputs, loss, "predicted"), outputs.values.copy()
@@ -172,12 +173,8 @@ def _describe(outputs: Outputs, loss: Loss, state: str) -> dict[str, Tensor]:
     results = {
         "pose": pose_to_tensor(reconstruction.pose),
         "vertices": reconstruction.vertices,
-        "backgrounds": _to_bytes(reconstruction.backgrounds),
-        "images": _to_bytes(images),
+        "backgrounds": to_bytes(reconstruction.backgrounds),
+        "images": to_bytes(images),
         "feature_distance": loss(reconstruction),
     }
     return {f"{name}_{state}": value.cpu() for name, value in results.items()}
-
-
-def _to_bytes(images: Float[Tensor, "B 3 H W"]) -> UInt8[Tensor, "B 3 H W"]:
-    return (images * 255).round().clamp(0, 255).to(torch.uint8)

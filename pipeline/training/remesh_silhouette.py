@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.nn.functional import avg_pool2d
+from torch.nn import functional
 from tqdm import trange
 
-from pipeline.geometry.camera import Pose, project
+from pipeline.geometry.camera import Pose, level_pose, project
 from pipeline.geometry.compliance import compliance_matrix
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.remeshing import MappedMesh, check_surface
@@ -84,7 +84,7 @@ def views_all_around(count: int) -> Pose:
     """Spread viewpoints evenly over the sphere on a spiral of golden angles."""
     step = torch.arange(count)
     elevation = torch.asin(1 - (2 * step + 1) / count)
-    return Pose(step * GOLDEN_ANGLE, elevation, torch.zeros(count), torch.zeros(count, 2), torch.ones(count))
+    return level_pose(step * GOLDEN_ANGLE, elevation)
 
 
 def silhouettes(
@@ -94,4 +94,4 @@ def silhouettes(
     vertices_ndc = project(vertices.expand(len(poses.scale), -1, -1), poses, config.camera)
     fragments = rasterize(vertices_ndc, faces, config.size * config.supersampling)
     covered = (fragments.face_index >= 0).to(vertices.dtype)[:, None]
-    return avg_pool2d(antialias(covered, fragments, vertices_ndc, faces), config.supersampling)[:, 0]
+    return functional.avg_pool2d(antialias(covered, fragments, vertices_ndc, faces), config.supersampling)[:, 0]

@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pipeline.errors import ConfigError
-from pipeline.geometry.camera import Pose
+from pipeline.geometry.camera import Pose, level_pose
 from pipeline.ranges import Azimuth, Concentration, NonNegative
 from pipeline.rendering.lighting import Light
 
@@ -84,8 +84,7 @@ def sample_viewpoints(config: ViewpointConfig, count: int, rng: torch.Generator)
     elevation = sample_angles(config.elevation, count, rng)
     if config.mirrored:
         azimuth = azimuth * torch.randint(2, (count,), generator=rng, device=rng.device).mul(2).sub(1)
-    zeros = torch.zeros_like(azimuth)
-    return Pose(azimuth, elevation, zeros, torch.stack([zeros, zeros], 1), torch.ones_like(azimuth))
+    return level_pose(azimuth, elevation)
 
 
 def enlarge_fronts(pose: Pose, front_scale: float) -> Pose:

@@ -7,9 +7,9 @@ import torch
 from torch import Tensor
 
 from pipeline.geometry.camera import Pose, project, rotation_from_angles
-from pipeline.rendering import reference
 from pipeline.rendering.rasterize import rasterize
 from pipeline.rendering.renderer import Rendering, render
+from tests import rendering_in_loops
 from tests.scenes import CONFIG, Scene
 
 TOLERANCE = 1e-5
@@ -42,13 +42,13 @@ def test_renderer_draws_what_the_reference_draws(size: int, supersampling: int, 
     config = replace(CONFIG, size=size, supersampling=supersampling)
     scene.backgrounds = torch.rand(2, 3, size, size, generator=torch.Generator().manual_seed(0))
     inputs = (scene.mesh, scene.texture_maps, scene.pose, scene.backgrounds, scene.light, config)
-    assert_close(render(*inputs), reference.render(*inputs), TOLERANCE)
+    assert_close(render(*inputs), rendering_in_loops.render(*inputs), TOLERANCE)
 
 
 def test_no_background_and_no_light() -> None:
     scene = Scene(1, 2, seed=3)
     inputs = (scene.mesh, scene.texture_maps, scene.pose, None, None, CONFIG)
-    assert_close(render(*inputs), reference.render(*inputs), TOLERANCE)
+    assert_close(render(*inputs), rendering_in_loops.render(*inputs), TOLERANCE)
 
 
 def test_object_partly_outside_the_picture() -> None:
@@ -57,7 +57,7 @@ def test_object_partly_outside_the_picture() -> None:
     inputs = (scene.mesh, scene.texture_maps, scene.pose, scene.backgrounds, scene.light, CONFIG)
     rendering = render(*inputs)
     assert rendering.silhouettes[0, -1].max() > 0.99
-    assert_close(rendering, reference.render(*inputs), TOLERANCE)
+    assert_close(rendering, rendering_in_loops.render(*inputs), TOLERANCE)
 
 
 def test_faces_behind_the_camera_and_faces_without_area() -> None:
@@ -67,7 +67,7 @@ def test_faces_behind_the_camera_and_faces_without_area() -> None:
     vertices[:, 0] = 2 * CONFIG.camera.distance * camera_direction(scene.pose)
     scene.mesh = scene.mesh._replace(vertices=vertices)
     inputs = (scene.mesh, scene.texture_maps, scene.pose, scene.backgrounds, None, CONFIG)
-    assert_close(render(*inputs), reference.render(*inputs), TOLERANCE)
+    assert_close(render(*inputs), rendering_in_loops.render(*inputs), TOLERANCE)
 
 
 def test_object_outside_the_picture_leaves_the_background() -> None:

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from pipeline.errors import DataError
-from pipeline.evaluation.artifacts import load_photographs, load_reconstructions, load_true_split, select
+from pipeline.evaluation.artifacts import load_photographs, load_reconstructions, load_truth, select
 from pipeline.files import write_json
 from pipeline.geometry.camera import Pose
 from pipeline.tensor_files import save_tensors
@@ -13,27 +13,28 @@ from pipeline.tensor_files import save_tensors
 
 @pytest.fixture
 def truth_folder(tmp_path: Path) -> Path:
-    count = 3
-    angles = {name: numpy.arange(count, dtype=numpy.float32) for name in ("azimuth", "elevation", "roll", "scale")}
-    masks = numpy.zeros((count, 4, 4), dtype=numpy.uint8)
-    masks[1] = 1
-    (tmp_path / "test").mkdir()
-    numpy.savez(
-        tmp_path / "test" / "car.npz",
-        **angles,  # pyright: ignore[reportArgumentType]
-        center=numpy.zeros((count, 2), dtype=numpy.float32),
-        masks=masks,
-        vertices=numpy.zeros((count, 4, 3), dtype=numpy.float32),
-        faces=numpy.array([[0, 1, 2]], dtype=numpy.int32),
-    )
+    for split, count in (("train", 2), ("test", 3)):
+        angles = {name: numpy.arange(count, dtype=numpy.float32) for name in ("azimuth", "elevation", "roll", "scale")}
+        masks = numpy.zeros((count, 4, 4), dtype=numpy.uint8)
+        masks[1] = 1
+        (tmp_path / split).mkdir()
+        numpy.savez(
+            tmp_path / split / "car.npz",
+            **angles,  # pyright: ignore[reportArgumentType]
+            center=numpy.zeros((count, 2), dtype=numpy.float32),
+            masks=masks,
+            vertices=numpy.zeros((count, 4, 3), dtype=numpy.float32),
+            faces=numpy.array([[0, 1, 2]], dtype=numpy.int32),
+        )
     write_json(tmp_path / "index.json", ["car"])
     return tmp_path
 
 
 def test_truth_of_chosen_pictures(truth_folder: Path) -> None:
-    truth = load_true_split(truth_folder, "test", "car")
+    truth = load_truth(truth_folder, "car")
     assert truth is not None
-    chosen = select(truth, torch.tensor([1, 0]))
+    assert len(truth[0].pose.azimuth) == 2
+    chosen = select(truth[1], torch.tensor([1, 0]))
     assert chosen.pose.azimuth.tolist() == [1, 0]
     assert chosen.objects is not None
     assert chosen.objects.masks.any(-1).any(-1).tolist() == [True, False]
@@ -42,7 +43,7 @@ def test_truth_of_chosen_pictures(truth_folder: Path) -> None:
 
 
 def test_category_without_truth_has_none(truth_folder: Path) -> None:
-    assert load_true_split(truth_folder, "test", "horse") is None
+    assert load_truth(truth_folder, "horse") is None
 
 
 @pytest.mark.parametrize("kept", [0, 100, 700])
@@ -50,7 +51,7 @@ def test_damaged_truth_is_named(truth_folder: Path, kept: int) -> None:
     path = truth_folder / "test" / "car.npz"
     path.write_bytes(path.read_bytes()[:kept])
     with pytest.raises(DataError, match=r"car\.npz is damaged; copy it again, or run prepare_data"):
-        load_true_split(truth_folder, "test", "car")
+        load_truth(truth_folder, "car")
 
 
 def test_photographs_are_chosen_and_channels_first(tmp_path: Path) -> None:

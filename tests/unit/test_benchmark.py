@@ -16,6 +16,7 @@ import trimesh
 from ruamel.yaml import YAML
 
 from pipeline.cli.__main__ import main
+from pipeline.datasets.images import to_bytes
 from pipeline.datasets.prepared import write_images, write_truth
 from pipeline.datasets.truth import GroundTruth, viewpoints_of_boxes
 from pipeline.evaluation.artifacts import Reconstructions, Truth
@@ -101,7 +102,7 @@ def exported(learned: ChainResult) -> Arrays:
     """Bring what a run says into the form of the benchmark."""
     found = learned.reconstructions
     masks = silhouettes(found.predicted, found.faces, found.directions, learned.renderer)
-    images = (found.predicted.images * 255).round().to(torch.uint8).permute(0, 2, 3, 1)
+    images = to_bytes(found.predicted.images).permute(0, 2, 3, 1)
     return {
         "train_angles": angles(Truth(learned.training_pose, None)),
         "train_index": learned.training_index.numpy(),

@@ -10,7 +10,7 @@ import torch
 from pipeline.datasets.pascal3d import Pascal3dConfig, read_pascal3d
 from pipeline.datasets.prepared import write_images, write_truth
 from pipeline.errors import DataError
-from pipeline.evaluation.artifacts import load_true_split
+from pipeline.evaluation.artifacts import load_truth
 from pipeline.geometry.camera import CameraConfig, Pose, project
 from tests.pascal3d_tree import VOC, annotation, car, photograph, release, viewpoint
 from tests.picture_trees import write_folder, write_tar, write_zip
@@ -79,8 +79,9 @@ def test_ground_truth_reaches_evaluation_alone(tmp_path: Path) -> None:
     dataset = read_pascal3d(write_folder(tmp_path / "release", release()), CONFIG)
     write_images(tmp_path / "prepared", dataset.images)
     write_truth(tmp_path / "truth", dataset.truth)
-    read = load_true_split(tmp_path / "truth", "test", "car")
-    assert read is not None
+    truth = load_truth(tmp_path / "truth", "car")
+    assert truth is not None
+    read = truth[1]
     assert read.objects is None
     assert read.pose.scale.isnan().all()
     assert math.degrees(read.pose.azimuth.item()) == pytest.approx(355)

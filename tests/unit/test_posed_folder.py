@@ -11,7 +11,7 @@ from pipeline.datasets.posed_folder import read_viewpoints
 from pipeline.datasets.prepared import write_pictures, write_truth
 from pipeline.datasets.truth import Viewpoints
 from pipeline.errors import DataError
-from pipeline.evaluation.artifacts import load_true_split
+from pipeline.evaluation.artifacts import load_truth
 from tests.picture_trees import tree, write_folder, write_tar
 
 CONFIG = FolderConfig(size=32, fit="pad")
@@ -33,10 +33,10 @@ def test_viewpoints_stand_in_the_order_of_the_pictures(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.degrees(truth.azimuth), expected)
     np.testing.assert_allclose(truth.roll, math.radians(-1.5))
     write_truth(tmp_path / "truth", truths)
-    read = load_true_split(tmp_path / "truth", "test", "horse")
-    assert read is not None
-    assert read.objects is None
-    np.testing.assert_allclose(read.pose.azimuth.rad2deg(), expected)
+    splits = load_truth(tmp_path / "truth", "horse")
+    assert splits is not None
+    assert splits[1].objects is None
+    np.testing.assert_allclose(splits[1].pose.azimuth.rad2deg(), expected)
 
 
 def test_lines_may_end_as_on_any_system(tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.datasets.toybox.model import Specimens, spread, vectors
+from pipeline.datasets.toybox.model import Specimens, vectors
 from pipeline.datasets.toybox.paint import palette, pick, shades
 from pipeline.datasets.toybox.solids import Solid, ellipsoid, join, kept, mirrored, moved, superellipse, tube
 
@@ -90,16 +90,16 @@ def _fuselage(sizes: Proportions, rng: np.random.Generator) -> Solid:
     profile = np.where(sizes.light[:, None], light * sizes.radius[:, None], profile)
     rise = np.where(sizes.fighter, 0.1, 0.6)[:, None] * sizes.radius[:, None] * np.clip(-(stations + 0.15) / 0.35, 0, 1)
     path = vectors(0, rise, np.broadcast_to(stations, rise.shape))
-    height = profile * spread(rng, 0.95, 1.25, count)[:, None]
+    height = profile * rng.uniform(0.95, 1.25, count)[:, None]
     materials = np.full((10, 12), BODY)
     height_of_ring = superellipse(12, 2.0)[:, 1]
-    upper, lower = (-height_of_ring + 0 > 0.8), (-height_of_ring < -0.6)
+    upper, lower = (-height_of_ring > 0.8), (-height_of_ring < -0.6)
     materials[:, lower] = BELLY
     materials[2:8, (np.abs(height_of_ring) < 0.3)] = STRIPE
     materials[7:8, upper | (-height_of_ring > 0.4)] = GLASS
     materials[9:] = NOSE
     fuselage = tube(path, np.stack([profile, height], axis=-1), SIDEWAYS, materials, size=12)
-    canopy_size = np.stack([0.55 * sizes.radius, 0.75 * sizes.radius, spread(rng, 0.06, 0.11, count)], axis=-1)
+    canopy_size = np.stack([0.55 * sizes.radius, 0.75 * sizes.radius, rng.uniform(0.06, 0.11, count)], axis=-1)
     canopy_at = vectors(0, 0.75 * sizes.radius, np.where(sizes.fighter, 0.24, 0.14))
     return join([fuselage, kept(moved(ellipsoid(canopy_size, GLASS), canopy_at), ~sizes.airliner)])
 
@@ -117,13 +117,13 @@ def _blade(
 
 def _wings(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     count = len(sizes.kind)
-    dihedral = np.where(sizes.fighter, spread(rng, -0.05, 0.03, count), spread(rng, 0.02, 0.12, count)) * sizes.span
+    dihedral = np.where(sizes.fighter, rng.uniform(-0.05, 0.03, count), rng.uniform(0.02, 0.12, count)) * sizes.span
     root = vectors(0, sizes.wing_y, sizes.wing_z)
     tip = vectors(sizes.span, sizes.wing_y + dihedral, sizes.wing_z - sizes.sweep)
-    thickness = sizes.chord * spread(rng, 0.04, 0.07, count)
+    thickness = sizes.chord * rng.uniform(0.04, 0.07, count)
     wing = mirrored(_blade(root, tip, (sizes.chord, sizes.chord * sizes.taper), thickness, WING))
     biplane = sizes.light & (sizes.wing_y < 0) & (rng.random(count) < 0.4)
-    second = moved(wing, vectors(0, spread(rng, 0.16, 0.2, count), 0.03))
+    second = moved(wing, vectors(0, rng.uniform(0.16, 0.2, count), 0.03))
     strut_at = sizes.span * 0.65
     strut = mirrored(
         _blade(
@@ -139,14 +139,14 @@ def _wings(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
 
 def _tail(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     count = len(sizes.kind)
-    chord = sizes.fin * spread(rng, 0.7, 1.0, count)
-    back = np.where(sizes.light, 0.03, spread(rng, 0.06, 0.12, count))
+    chord = sizes.fin * rng.uniform(0.7, 1.0, count)
+    back = np.where(sizes.light, 0.03, rng.uniform(0.06, 0.12, count))
     thin = np.full(count, 0.008)
     twin = sizes.fighter & (rng.random(count) < 0.4)
     lean = np.where(twin, 0.06, 0.0)
     start = np.where(twin, 0.05, 0.0)
     root, tip = vectors(start, 0.03, -0.4), vectors(start + lean, sizes.fin + 0.03, -0.4 - back)
-    fin = _blade(root, tip, (chord, chord * spread(rng, 0.4, 0.7, count)), thin, FIN)
+    fin = _blade(root, tip, (chord, chord * rng.uniform(0.4, 0.7, count)), thin, FIN)
     pair = mirrored(fin)
     t_tail = ~sizes.fighter & (rng.random(count) < 0.2)
     height = np.where(t_tail, sizes.fin, 0.25 * sizes.radius)
@@ -158,7 +158,7 @@ def _tail(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
 
 def _engines(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     count = len(sizes.kind)
-    jet = np.stack([0.55 * sizes.radius, 0.55 * sizes.radius, spread(rng, 0.045, 0.07, count)], axis=-1)
+    jet = np.stack([0.55 * sizes.radius, 0.55 * sizes.radius, rng.uniform(0.045, 0.07, count)], axis=-1)
     rear_mounted = sizes.airliner & (rng.random(count) < 0.2)
     four = sizes.airliner & ~rear_mounted & (rng.random(count) < 0.3)
     engines = []
@@ -167,7 +167,7 @@ def _engines(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
         engines.append(kept(mirrored(moved(ellipsoid(jet, ENGINE, 3.0), at)), present))
     at_rear = vectors(1.6 * sizes.radius, 0.5 * sizes.radius, -0.27)
     engines.append(kept(mirrored(moved(ellipsoid(jet, ENGINE, 3.0), at_rear)), rear_mounted))
-    disc = np.stack([sizes.radius * 0.25, sizes.radius * spread(rng, 1.4, 2.0, count), np.full(count, 0.006)], axis=-1)
+    disc = np.stack([sizes.radius * 0.25, sizes.radius * rng.uniform(1.4, 2.0, count), np.full(count, 0.006)], axis=-1)
     return [*engines, kept(moved(ellipsoid(disc, WHEEL), vectors(0, 0 * sizes.radius, 0.505)), sizes.light)]
 
 

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
-from pipeline.datasets.toybox.model import Specimens, spread, vectors
+from pipeline.datasets.toybox.model import Specimens, vectors
 from pipeline.datasets.toybox.paint import palette, shades, vary
 from pipeline.datasets.toybox.solids import Solid, box, ellipsoid, join, kept, loft, mirrored, moved, superellipse
 
@@ -75,8 +75,8 @@ def _proportions(style: Int[np.ndarray, " B"], rng: np.random.Generator) -> Prop
     ranges = np.array(list(RANGES.values()))[:, style]
     drawn = rng.uniform(ranges[..., 0], ranges[..., 1])
     length, width, height, cowl, rake, roof_rear, rear_glass, bonnet, belt, boot = drawn
-    wheel = spread(rng, 0.29, 0.35, len(style)) * (0.55 + 0.3 * height)
-    clearance = wheel * spread(rng, 0.45, 0.7, len(style))
+    wheel = rng.uniform(0.29, 0.35, len(style)) * (0.55 + 0.3 * height)
+    clearance = wheel * rng.uniform(0.45, 0.7, len(style))
     return Proportions(
         length,
         width,
@@ -151,10 +151,10 @@ def _wheels(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     count = len(sizes.length)
     side = sizes.width / 2
     solids = []
-    for station in (spread(rng, 0.16, 0.2, count), spread(rng, 0.78, 0.83, count)):
+    for station in (rng.uniform(0.16, 0.2, count), rng.uniform(0.78, 0.83, count)):
         axle = vectors(0, sizes.wheel, sizes.along(station))
         arch = axle + vectors(0, 0.12 * sizes.wheel, 0)
-        rim = sizes.wheel * spread(rng, 0.55, 0.72, count)
+        rim = sizes.wheel * rng.uniform(0.55, 0.72, count)
         solids += [
             mirrored(_disc(sizes.wheel * 1.2, side - 0.15, side * 1.004, arch, ARCH)),
             mirrored(_disc(sizes.wheel, side - 0.19, side + 0.012, axle, TYRE)),
@@ -175,13 +175,13 @@ def _disc(
 
 def _lights(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     count = len(sizes.length)
-    head = vectors(sizes.width * spread(rng, 0.06, 0.11, count), sizes.height * spread(rng, 0.035, 0.065, count), 0.13)
-    tail = vectors(sizes.width * spread(rng, 0.05, 0.1, count), sizes.height * spread(rng, 0.04, 0.09, count), 0.1)
+    head = vectors(sizes.width * rng.uniform(0.06, 0.11, count), sizes.height * rng.uniform(0.035, 0.065, count), 0.13)
+    tail = vectors(sizes.width * rng.uniform(0.05, 0.1, count), sizes.height * rng.uniform(0.04, 0.09, count), 0.1)
     head_center = vectors(
-        sizes.width * 0.36, sizes.bonnet - sizes.height * spread(rng, 0.11, 0.15, count), sizes.along(0.025)
+        sizes.width * 0.36, sizes.bonnet - sizes.height * rng.uniform(0.11, 0.15, count), sizes.along(0.025)
     )
     tail_center = vectors(
-        sizes.width * 0.39, sizes.boot - sizes.height * spread(rng, 0.12, 0.18, count), sizes.along(0.98)
+        sizes.width * 0.39, sizes.boot - sizes.height * rng.uniform(0.12, 0.18, count), sizes.along(0.98)
     )
     return [
         mirrored(moved(ellipsoid(head, HEAD_LIGHT, 3.0), head_center)),
@@ -192,8 +192,8 @@ def _lights(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
 def _trim(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     count = len(sizes.length)
     low = sizes.clearance + 0.14 * sizes.height
-    bumper = vectors(sizes.width * 0.46, sizes.height * spread(rng, 0.05, 0.08, count), 0.12)
-    grille = vectors(sizes.width * spread(rng, 0.12, 0.26, count), sizes.height * spread(rng, 0.03, 0.07, count), 0.06)
+    bumper = vectors(sizes.width * 0.46, sizes.height * rng.uniform(0.05, 0.08, count), 0.12)
+    grille = vectors(sizes.width * rng.uniform(0.12, 0.26, count), sizes.height * rng.uniform(0.03, 0.07, count), 0.06)
     plate = np.tile([0.26, 0.06, 0.03], (count, 1))
     mirror = np.tile([0.11, 0.08, 0.06], (count, 1))
     at_mirror = vectors(sizes.width * 0.5, sizes.belt + 0.06, sizes.along(sizes.cowl + 0.05))

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.datasets.toybox.model import Specimens, between, polyline, spread, vectors
+from pipeline.datasets.toybox.model import Specimens, between, polyline, vectors
 from pipeline.datasets.toybox.paint import palette, pick
 from pipeline.datasets.toybox.solids import Solid, ellipsoid, join, kept, mirrored, moved, tube
 
@@ -59,16 +59,16 @@ def build_chairs(count: int, rng: np.random.Generator) -> Specimens:
 def _proportions(count: int, rng: np.random.Generator) -> Proportions:
     kind = rng.random(count)
     upholstered, office = kind < 0.25, kind > 0.8
-    width = np.where(upholstered, spread(rng, 0.55, 0.85, count), spread(rng, 0.4, 0.52, count))
-    seat = np.where(upholstered, spread(rng, 0.36, 0.44, count), spread(rng, 0.42, 0.5, count))
+    width = np.where(upholstered, rng.uniform(0.55, 0.85, count), rng.uniform(0.4, 0.52, count))
+    seat = np.where(upholstered, rng.uniform(0.36, 0.44, count), rng.uniform(0.42, 0.5, count))
     return Proportions(
         width=width,
-        depth=width * spread(rng, 0.88, 1.08, count),
+        depth=width * rng.uniform(0.88, 1.08, count),
         seat=seat,
-        top=seat + np.where(upholstered, spread(rng, 0.35, 0.6, count), spread(rng, 0.32, 0.6, count)),
-        cushion=np.where(upholstered, spread(rng, 0.07, 0.12, count), spread(rng, 0.015, 0.05, count)),
-        lean=spread(rng, 0.02, 0.16, count),
-        splay=np.where(rng.random(count) < 0.5, 0.0, spread(rng, 0.0, 0.08, count)),
+        top=seat + np.where(upholstered, rng.uniform(0.35, 0.6, count), rng.uniform(0.32, 0.6, count)),
+        cushion=np.where(upholstered, rng.uniform(0.07, 0.12, count), rng.uniform(0.015, 0.05, count)),
+        lean=rng.uniform(0.02, 0.16, count),
+        splay=np.where(rng.random(count) < 0.5, 0.0, rng.uniform(0.0, 0.08, count)),
         upholstered=upholstered,
         office=office,
         slatted=~upholstered & ~office & (rng.random(count) < 0.5),
@@ -93,13 +93,13 @@ def _rod(
 
 def _legs(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     count = len(sizes.width)
-    radius = np.where(rng.random(count) < 0.4, spread(rng, 0.009, 0.014, count), spread(rng, 0.015, 0.03, count))
+    radius = np.where(rng.random(count) < 0.4, rng.uniform(0.009, 0.014, count), rng.uniform(0.015, 0.03, count))
     x, foot = 0.44 * sizes.width, 0.44 * sizes.width + sizes.splay
     legs = []
     for z, outside in ((0.42 * sizes.depth, 1.0), (sizes.rear * 0.95, -1.0)):
         lower = vectors(foot, 0 * foot, z + outside * sizes.splay)
         legs.append(mirrored(_rod(vectors(x, sizes.seat, z), lower, radius, LEG, SIDEWAYS)))
-    height = sizes.seat * spread(rng, 0.25, 0.6, count)
+    height = sizes.seat * rng.uniform(0.25, 0.6, count)
     bar_front, bar_rear = vectors(x, height, 0.42 * sizes.depth), vectors(x, height, sizes.rear * 0.95)
     bars = mirrored(_rod(bar_rear, bar_front, radius * 0.7, LEG, SIDEWAYS))
     return [kept(join(legs), ~sizes.office), kept(bars, ~sizes.office & (rng.random(count) < 0.35))]
@@ -121,16 +121,16 @@ def _office_base(sizes: Proportions) -> list[Solid]:
 
 def _back(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     count = len(sizes.width)
-    thickness = np.where(sizes.upholstered, spread(rng, 0.06, 0.1, count), spread(rng, 0.01, 0.025, count))
-    rounding = spread(rng, 0.75, 1.0, count)
-    lowest = np.where(sizes.upholstered | (rng.random(count) < 0.5), 0.0, spread(rng, 0.2, 0.5, count))
+    thickness = np.where(sizes.upholstered, rng.uniform(0.06, 0.1, count), rng.uniform(0.01, 0.025, count))
+    rounding = rng.uniform(0.75, 1.0, count)
+    lowest = np.where(sizes.upholstered | (rng.random(count) < 0.5), 0.0, rng.uniform(0.2, 0.5, count))
     shares = [lowest + share * (1 - lowest) for share in (0.0, 0.06, 0.55, 0.93, 1.0)]
     rise = sizes.top - sizes.seat
     path = polyline(*(vectors(0, sizes.seat + s * rise, sizes.rear - s * sizes.lean) for s in shares))
     half_width = np.stack([0.46 * sizes.width * share for share in (0.93, 1.0, 1.0, rounding, rounding * 0.8)], axis=1)
     slab = np.stack([half_width, np.repeat(thickness[:, None], 5, axis=1)], axis=-1)
     panel = tube(path, slab, SIDEWAYS, BACK, exponent=4.0, size=12)
-    radius = spread(rng, 0.01, 0.022, count)
+    radius = rng.uniform(0.01, 0.022, count)
     posts = mirrored(
         _rod(sizes.on_back(0.42 * sizes.width, -0.1), sizes.on_back(0.42 * sizes.width, 1.0), radius, FRAME, SIDEWAYS)
     )
@@ -158,9 +158,9 @@ def _slats(sizes: Proportions, radius: np.ndarray, rng: np.random.Generator) -> 
 
 def _arms(sizes: Proportions, rng: np.random.Generator) -> list[Solid]:
     count = len(sizes.width)
-    height = sizes.seat + spread(rng, 0.17, 0.26, count)
-    x, front = 0.5 * sizes.width, sizes.depth * spread(rng, 0.25, 0.42, count)
-    radius = spread(rng, 0.012, 0.025, count)
+    height = sizes.seat + rng.uniform(0.17, 0.26, count)
+    x, front = 0.5 * sizes.width, sizes.depth * rng.uniform(0.25, 0.42, count)
+    radius = rng.uniform(0.012, 0.025, count)
     rest = _rod(vectors(x, height, sizes.rear), vectors(x, height, front), radius, FRAME, SIDEWAYS)
     post = _rod(
         vectors(x * 0.96, sizes.seat, front * 0.95), vectors(x, height, front * 0.95), radius * 0.8, FRAME, SIDEWAYS

@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float
 
-from pipeline.datasets.toybox.model import Specimens, polyline, spread, vectors
+from pipeline.datasets.toybox.model import Specimens, polyline, vectors
 from pipeline.datasets.toybox.paint import palette, shades, vary
 from pipeline.datasets.toybox.solids import Solid, ellipsoid, join, mirrored, moved, tube
 
@@ -43,14 +43,14 @@ class Proportions(NamedTuple):
 def build_horses(count: int, rng: np.random.Generator) -> Specimens:
     """Build random horses. Only the legs, which walk, are not symmetric about x = 0."""
     grazing = rng.random(count) < 0.15
-    neck_angle = np.where(grazing, spread(rng, -0.8, -0.5, count), spread(rng, 0.35, 1.05, count))
+    neck_angle = np.where(grazing, rng.uniform(-0.8, -0.5, count), rng.uniform(0.35, 1.05, count))
     sizes = Proportions(
-        length=spread(rng, 0.92, 1.1, count),
-        girth=spread(rng, 0.18, 0.23, count),
-        leg=spread(rng, 0.5, 0.57, count),
+        length=rng.uniform(0.92, 1.1, count),
+        girth=rng.uniform(0.18, 0.23, count),
+        leg=rng.uniform(0.5, 0.57, count),
         neck_angle=neck_angle,
-        head_angle=np.where(grazing, -1.2, neck_angle - spread(rng, 1.1, 1.7, count)),
-        stride=np.where(rng.random(count) < 0.4, 0.03, spread(rng, 0.1, 0.45, count)),
+        head_angle=np.where(grazing, -1.2, neck_angle - rng.uniform(1.1, 1.7, count)),
+        stride=np.where(rng.random(count) < 0.4, 0.03, rng.uniform(0.1, 0.45, count)),
     )
     parts = [_trunk(sizes), *_neck_and_head(sizes), *_legs(sizes, rng), _tail(sizes, rng)]
     return Specimens(join(parts), _palette(count, rng), GLOSS)
@@ -130,7 +130,7 @@ def _leg(sizes: Proportions, front: bool, side: float, swing: np.ndarray, bend: 
 
 
 def _tail(sizes: Proportions, rng: np.random.Generator) -> Solid:
-    lift = spread(rng, 0.02, 0.14, len(sizes.length))
+    lift = rng.uniform(0.02, 0.14, len(sizes.length))
     z = -0.49 * sizes.length
     top = 1.0 - 0.4 * sizes.girth
     path = polyline(

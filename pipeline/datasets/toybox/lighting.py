@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
-from torch.nn.functional import normalize
+from torch.nn import functional
 
 from pipeline.datasets.toybox.model import Specimens
 from pipeline.datasets.toybox.noise import sample
@@ -84,6 +84,6 @@ def shade_faces(
 def _normals(vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"]) -> Float[np.ndarray, "B F 3"]:
     """Return unit normals half way between those of the flat faces and those of a smooth surface."""
     first, second, third = vertices[:, faces].unbind(2)
-    flat = normalize(torch.linalg.cross(second - first, third - first), dim=-1)
-    smooth = normalize(vertex_normals(vertices, faces)[:, faces].mean(dim=2), dim=-1)
-    return normalize(flat + smooth, dim=-1).numpy()
+    flat = functional.normalize(torch.linalg.cross(second - first, third - first), dim=-1)
+    smooth = functional.normalize(vertex_normals(vertices, faces)[:, faces].mean(dim=2), dim=-1)
+    return functional.normalize(flat + smooth, dim=-1).numpy()

@@ -23,11 +23,6 @@ class Specimens(NamedTuple):
     gloss: Float[np.ndarray, " M"]
 
 
-def spread(rng: np.random.Generator, low: float, high: float, count: int) -> Float[np.ndarray, " B"]:
-    """Draw one uniform number per object."""
-    return rng.uniform(low, high, count)
-
-
 def vectors(x: np.ndarray | float, y: np.ndarray | float, z: np.ndarray | float) -> Float[np.ndarray, "B *points 3"]:
     """Stack coordinates, of which at least one is given per object or per point of each object, into vectors."""
     return np.stack(np.broadcast_arrays(x, y, z), axis=-1)
