@@ -196,9 +196,22 @@ TABLES: dict[str, Table | Confusion] = {
             "fine-tuned distance": "reconstruction.tuned.feature_distance",
         },
     ),
+    "copying": Table(
+        "",
+        r"(toybox-(aeroplane|car|chair|horse)|stanford-car|cifar10-(automobile|horse)|mine-ship)(-no-copying-cost)?",
+        {
+            "feature distance": "reconstruction.predicted.feature_distance",
+            "fine-tuned": "reconstruction.tuned.feature_distance",
+            "views right": "pose.test.acc_pi6",
+            "base shape after full training": "shape.final_base.voxel_iou",
+            "shape IoU": "shape.test.voxel_iou",
+            "mask IoU": "shape.test.mask_iou",
+            "fine-tuned mask IoU": "shape.test_tuned.mask_iou",
+        },
+    ),
     "longer": Table(
         "",
-        r"(toybox-car|toybox-chair|stanford-car|cifar10-automobile|cifar10-horse|mine-ship)(-longer)?",
+        r"(toybox-car|toybox-chair|stanford-car|cifar10-automobile|cifar10-horse|mine-ship)-(longer|no-copying-cost)",
         {
             "feature distance": "reconstruction.predicted.feature_distance",
             "fine-tuned": "reconstruction.tuned.feature_distance",
@@ -211,7 +224,7 @@ TABLES: dict[str, Table | Confusion] = {
     ),
     "sharper": Table(
         "",
-        r"(toybox-car|toybox-horse|toybox64-(car|horse)-sharper|stanford-car|stanford64-car-sharper(-longer)?)",
+        r"(toybox-car|stanford-car)-no-copying-cost|toybox-horse|toybox64-(car|horse)-sharper|stanford64-car-sharper.*",
         {
             "views right": "pose.test.acc_pi6",
             "fine-tuned": "pose.test_tuned.acc_pi6",
@@ -227,7 +240,7 @@ TABLES: dict[str, Table | Confusion] = {
     ),
     "fewer": Table(
         "",
-        r"(toybox-(200-|500-)?car|cifar10-(200-car|automobile))",
+        r"toybox-(200-car|500-car|car-no-copying-cost)|cifar10-(200-car|automobile-no-copying-cost)",
         {
             "feature distance": "reconstruction.predicted.feature_distance",
             "fine-tuned": "reconstruction.tuned.feature_distance",
