@@ -39,6 +39,8 @@ def topology_of(faces: Int[Tensor, "F 3"]) -> Topology:
 
 
 def _derive(faces: Int[Tensor, "F 3"]) -> Topology:
+    if len(faces) == 0:
+        raise MeshError("the mesh has no faces; expected at least one")
     vertex_count = int(faces.max()) + 1
     start, end, opposite = faces.flatten(), faces.roll(-1, dims=1).flatten(), faces.roll(-2, dims=1).flatten()
     key = torch.minimum(start, end) * vertex_count + torch.maximum(start, end)

@@ -139,10 +139,11 @@ class _Antialias(torch.autograd.Function):
     def forward(
         ctx: Any, colors: Tensor, face_index: Tensor, barycentric: Tensor, vertices_ndc: Tensor, faces: Tensor
     ) -> Tensor:
-        colors, barycentric, vertices = (tensor.detach().contiguous() for tensor in (colors, barycentric, vertices_ndc))
+        inputs = (colors, face_index, barycentric, vertices_ndc)
+        colors, face_index, barycentric, vertices = (tensor.detach().contiguous() for tensor in inputs)
         batch, channels, size, _ = colors.shape
         topology = topology_of(faces)
-        crossings = find_crossings(face_index, barycentric, vertices, faces, topology)
+        crossings = find_crossings(face_index, barycentric, vertices, faces.contiguous(), topology)
         taken, blended = colors.new_empty(batch, size, size), torch.empty_like(colors)
         launch(_blend, batch, size * size, PIXELS, colors, crossings, taken, blended, channels, size)
         ctx.save_for_backward(colors, crossings, taken, vertices, topology.edges)

@@ -17,12 +17,12 @@ def interpolate(
     barycentric: Float[np.ndarray, "B H W 3"],
 ) -> Float[np.ndarray, "B H W C"]:
     """Return interpolated attributes, 0 in the background."""
-    batch, size = face_index.shape[:2]
+    batch, height, width = face_index.shape
     channels = attributes.shape[2]
-    values = np.zeros((batch, size, size, channels), attributes.dtype)
+    values = np.zeros((batch, height, width, channels), attributes.dtype)
     for picture in prange(batch):
-        for row in range(size):
-            for column in range(size):
+        for row in range(height):
+            for column in range(width):
                 face = face_index[picture, row, column]
                 if face >= 0:
                     a, b, c = faces[face]
@@ -46,12 +46,12 @@ def interpolate_backward(
     gradient: Float[np.ndarray, "B H W C"],
 ) -> tuple[Float[np.ndarray, "B V C"], Float[np.ndarray, "B H W 3"]]:
     """Return the gradients with respect to attributes and barycentric coordinates."""
-    batch, size = face_index.shape[:2]
+    batch, height, width = face_index.shape
     attribute_gradient = np.zeros_like(attributes)
     barycentric_gradient = np.zeros_like(barycentric)
     for picture in prange(batch):
-        for row in range(size):
-            for column in range(size):
+        for row in range(height):
+            for column in range(width):
                 face = face_index[picture, row, column]
                 if face >= 0:
                     for corner in range(3):

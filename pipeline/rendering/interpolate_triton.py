@@ -86,7 +86,7 @@ class _Interpolate(torch.autograd.Function):
     def forward(ctx: Any, attributes: Tensor, faces: Tensor, face_index: Tensor, barycentric: Tensor) -> Tensor:
         inputs = [tensor.detach().contiguous() for tensor in (attributes, faces, face_index, barycentric)]
         ctx.save_for_backward(*inputs)
-        (batch, vertex_count, channels), samples = attributes.shape, face_index[0].numel()
+        (batch, vertex_count, channels), samples = attributes.shape, face_index.shape[1:].numel()
         values = attributes.new_empty(*face_index.shape, channels)
         launch(_interpolate, batch, samples, SAMPLES, *inputs, values, vertex_count, samples, channels)
         return values
@@ -94,7 +94,7 @@ class _Interpolate(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, None, None, Tensor]:
         attributes, _, face_index, barycentric = ctx.saved_tensors
-        (batch, vertex_count, channels), samples = attributes.shape, face_index[0].numel()
+        (batch, vertex_count, channels), samples = attributes.shape, face_index.shape[1:].numel()
         results = torch.zeros_like(attributes), torch.empty_like(barycentric)
         arguments = (*ctx.saved_tensors, gradients[0].contiguous(), *results, vertex_count, samples, channels)
         learn = ctx.needs_input_grad[0]

@@ -43,7 +43,7 @@ class Rendering(NamedTuple):
     """Hold rendered pictures."""
 
     images: Float[Tensor, "B 3 H W"]
-    """RGB in [0, 1]; the background is black where none was given."""
+    """RGB, in [0, 1] where the light's intensities add up to at most 1; black behind where no background was given."""
     silhouettes: Float[Tensor, "B H W"]
     """The part of each pixel that the object covers, in [0, 1]."""
 

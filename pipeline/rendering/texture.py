@@ -31,8 +31,8 @@ def sample_sphere_texture(
     """Look up equirectangular maps along directions, bilinearly.
 
     The middle column is the front (+z), three quarters to the right is +x, and the first row is up (+y). Columns wrap
-    around, so there is no seam; rows end at the poles. Directions need no unit length; the zero direction, which
-    `interpolate` gives the background, is black. Gradients flow to the maps and to the directions.
+    around, so there is no seam; rows end at the poles. Directions need no unit length, but more than 1e-4; the zero
+    direction, which `interpolate` gives the background, is black. Gradients flow to the maps and to the directions.
     """
     if texture_maps.is_cuda:
         from pipeline.rendering import texture_triton

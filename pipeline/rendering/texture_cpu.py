@@ -77,8 +77,8 @@ def sample(
     texture_maps: Float[np.ndarray, "B 3 T T"], directions: Float[np.ndarray, "B H W 3"]
 ) -> Float[np.ndarray, "B 3 H W"]:
     """Return bilinear look-ups along directions, 0 for the zero direction."""
-    batch, size, texture_size = len(directions), directions.shape[1], texture_maps.shape[2]
-    colors = np.zeros((batch, 3, size * size), texture_maps.dtype)
+    batch, height, width = directions.shape[:3]
+    texture_size, colors = texture_maps.shape[2], np.zeros((batch, 3, height * width), texture_maps.dtype)
     for picture in prange(batch):
         pixels, x, y, z = covered(directions[picture].reshape(-1, 3))
         rows, columns = texel_coordinates(x, y, z, texture_size)
@@ -90,7 +90,7 @@ def sample(
                 upper = upper_left + across * (texture[top, right] - upper_left)
                 lower = lower_left + across * (texture[bottom, right] - lower_left)
                 colors[picture, channel, pixels[i]] = upper + down * (lower - upper)
-    return colors.reshape(batch, 3, size, size)
+    return colors.reshape(batch, 3, height, width)
 
 
 @njit(parallel=True)
@@ -101,9 +101,9 @@ def sample_backward(
     gradient: Float[np.ndarray, "B 3 H W"],
 ) -> tuple[Float[np.ndarray, "B 3 T T"], Float[np.ndarray, "B H W 3"]]:
     """Return the gradients with respect to texture maps and directions."""
-    batch, size, texture_size = len(directions), directions.shape[1], texture_maps.shape[2]
-    map_gradient = np.zeros_like(texture_maps)
-    direction_gradient = np.zeros((batch, size * size, 3), directions.dtype)
+    batch, height, width = directions.shape[:3]
+    texture_size, map_gradient = texture_maps.shape[2], np.zeros_like(texture_maps)
+    direction_gradient = np.zeros((batch, height * width, 3), directions.dtype)
     for picture in prange(batch):
         pixels, xs, ys, zs = covered(directions[picture].reshape(-1, 3))
         rows, columns = texel_coordinates(xs, ys, zs, texture_size)

@@ -115,7 +115,7 @@ class _Sample(torch.autograd.Function):
         around, upward = torch.atan2(x, z) / (2 * pi), torch.atan2(y, torch.hypot(x, z)) / pi
         coordinates = torch.stack((0.5 + around, 0.5 - upward), dim=-1)
         colors = maps.new_empty(len(maps), 3, *directions.shape[1:3])
-        samples = directions[0, ..., 0].numel()
+        samples = directions.shape[1:3].numel()
         launch(_sample, len(maps), samples, SAMPLES, maps, directions, coordinates, colors, samples, maps.shape[-1])
         ctx.save_for_backward(maps, directions, coordinates)
         return colors
@@ -124,7 +124,7 @@ class _Sample(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor]:
         maps, directions, _ = ctx.saved_tensors
         results = torch.zeros_like(maps), torch.empty_like(directions)
-        samples = directions[0, ..., 0].numel()
+        samples = directions.shape[1:3].numel()
         arguments = (*ctx.saved_tensors, gradients[0].contiguous(), *results, samples, maps.shape[-1], pi)
         launch(_sample_backward, len(maps), samples, SAMPLES, *arguments)
         return results

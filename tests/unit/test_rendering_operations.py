@@ -85,7 +85,7 @@ def test_gradients_of_barycentric_coordinates(scene: Scene, vertices_ndc: Tensor
 
 def test_interpolations_agree(scene: Scene, vertices_ndc: Tensor) -> None:
     faces = scene.mesh.faces
-    face_index, barycentric = rasterize(vertices_ndc, faces, 24)
+    face_index, barycentric = (values[:, :16] for values in rasterize(vertices_ndc, faces, 24))
     attributes = torch.randn(3, len(scene.mesh.directions), 5)
 
     def apply(function: Callable[..., Tensor]) -> Callable[..., Tensor]:
@@ -99,7 +99,7 @@ def test_interpolations_agree(scene: Scene, vertices_ndc: Tensor) -> None:
 
 
 def test_texture_lookups_agree(scene: Scene) -> None:
-    directions = torch.randn(3, 16, 16, 3, generator=torch.Generator().manual_seed(3))
+    directions = torch.randn(3, 12, 16, 3, generator=torch.Generator().manual_seed(3))
     directions[:, :2] = 0
     compiled = gradients(sample_sphere_texture, scene.texture_maps, directions)
     in_torch = gradients(rendering_in_torch.sample_sphere_texture, scene.texture_maps.double(), directions.double())

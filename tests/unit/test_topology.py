@@ -50,3 +50,8 @@ def test_torus_has_euler_characteristic_zero() -> None:
 def test_mesh_that_is_not_closed_is_refused(faces: Tensor) -> None:
     with pytest.raises(MeshError, match="not closed"):
         topology_of(faces)
+
+
+def test_a_mesh_has_faces() -> None:
+    with pytest.raises(MeshError, match="no faces"):
+        topology_of(TETRAHEDRON[:0])

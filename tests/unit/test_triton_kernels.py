@@ -124,7 +124,8 @@ def test_gradients_of_barycentric_coordinates() -> None:
 def test_interpolations_agree() -> None:
     scene = Scene(2, 2, seed=6)
     faces = scene.mesh.faces
-    face_index, barycentric = rasterize(project(scene.mesh.vertices, scene.pose, CONFIG.camera), faces, 24)
+    vertices_ndc = project(scene.mesh.vertices, scene.pose, CONFIG.camera)
+    face_index, barycentric = (values[:, :16] for values in rasterize(vertices_ndc, faces, 24))
     attributes = torch.randn(2, len(scene.mesh.directions), 5, generator=torch.Generator().manual_seed(0))
 
     def with_triton(attributes: Tensor, barycentric: Tensor) -> Tensor:
@@ -136,11 +137,13 @@ def test_interpolations_agree() -> None:
     actual, expected = (gradients(f, attributes, barycentric) for f in (on_device(with_triton), on_cpu))
     assert_close(actual, expected, 1e-5)
     weights = barycentric.to(DEVICE).requires_grad_()
-    assert torch.autograd.grad(with_triton(attributes.to(DEVICE), weights).sum(), weights)
+    (alone,) = torch.autograd.grad(with_triton(attributes.to(DEVICE), weights).sum(), weights)
+    leaf = barycentric.clone().requires_grad_()
+    assert_close([alone.cpu()], list(torch.autograd.grad(on_cpu(attributes, leaf).sum(), leaf)), 1e-5)
 
 
 def test_texture_lookups_agree() -> None:
-    directions = torch.randn(2, 16, 16, 3, generator=torch.Generator().manual_seed(3))
+    directions = torch.randn(2, 12, 16, 3, generator=torch.Generator().manual_seed(3))
     directions[:, :2] = 0
     directions[0, 3, 3] = torch.tensor([0.0, 1.0, 0.0])
     maps = Scene(2, 0, seed=1).texture_maps
@@ -156,13 +159,22 @@ def test_antialiasing_agrees(size: int) -> None:
     colors = torch.rand(2, 4, size, size, generator=torch.Generator().manual_seed(0)) * (fragments[0] >= 0)[:, None]
 
     def with_triton(colors: Tensor, vertices: Tensor) -> Tensor:
-        face_index, barycentric = (value.to(DEVICE) for value in fragments)
-        return antialias_triton.antialias(colors, face_index, barycentric, vertices, faces.to(DEVICE))
+        strided = (value.to(DEVICE).transpose(0, 1).contiguous().transpose(0, 1) for value in (*fragments, faces))
+        face_index, barycentric, corners = strided
+        return antialias_triton.antialias(colors, face_index, barycentric, vertices, corners)
 
     actual = gradients(on_device(with_triton), colors, vertices_ndc)
     expected = gradients(lambda colors, vertices: antialias(colors, fragments, vertices, faces), colors, vertices_ndc)
     assert (expected[0] - colors).abs().max() > 0.1
     assert_close(actual, expected, 1e-5)
+
+
+def test_no_pictures_give_none() -> None:
+    texture_maps, directions = torch.rand(0, 3, 4, 4, device=DEVICE), torch.rand(0, 5, 6, 3, device=DEVICE)
+    assert texture_triton.sample_sphere_texture(texture_maps, directions).shape == (0, 3, 5, 6)
+    faces, face_index = torch.tensor([[0, 1, 2]], device=DEVICE), torch.zeros(0, 5, 6, dtype=torch.int32, device=DEVICE)
+    weights, attributes = torch.rand(0, 5, 6, 3, device=DEVICE), torch.rand(0, 3, 2, device=DEVICE)
+    assert interpolate_triton.interpolate(attributes, faces, face_index, weights).shape == (0, 5, 6, 2)
 
 
 def assert_picture_is_that_of_the_cpu(monkeypatch: pytest.MonkeyPatch, scene: Scene, config: RendererConfig) -> None:
