@@ -198,7 +198,7 @@ TABLES: dict[str, Table | Confusion] = {
     ),
     "copying": Table(
         "",
-        r"(toybox-(aeroplane|car|chair|horse)|stanford-car|cifar10-(automobile|horse))(-no-copying-cost)?",
+        r"(toybox-(aeroplane|car|chair|horse)|stanford-car|cifar10-(automobile|horse)|mine-ship)(-no-copying-cost)?",
         {
             "feature distance": "reconstruction.predicted.feature_distance",
             "fine-tuned": "reconstruction.tuned.feature_distance",
@@ -211,7 +211,7 @@ TABLES: dict[str, Table | Confusion] = {
     ),
     "longer": Table(
         "",
-        r"(toybox-car|toybox-chair|stanford-car|cifar10-automobile|cifar10-horse)-(longer|no-copying-cost)|mine-ship(-longer)?",
+        r"(toybox-car|toybox-chair|stanford-car|cifar10-automobile|cifar10-horse|mine-ship)-(longer|no-copying-cost)",
         {
             "feature distance": "reconstruction.predicted.feature_distance",
             "fine-tuned": "reconstruction.tuned.feature_distance",
