@@ -99,7 +99,8 @@ def student_figures(views: Float[Tensor, "B K 3 H W"], model: FullModel, config:
     coordinates = torch.stack([model.read_poses(images) for images in views.unbind(1)], dim=1)
     read = torch.atan2(coordinates[..., 1], coordinates[..., 0])
     azimuths = config.azimuths().expand(views.shape[:2])
-    offset = fit_alignment(*(level_pose(turns.flatten(), torch.zeros(turns.numel())) for turns in (azimuths, read)))
+    commanded, said = (level_pose(turns.flatten(), torch.zeros_like(turns.flatten())) for turns in (azimuths, read))
+    offset = fit_alignment(commanded, said)
     return azimuth_figures(azimuths, read + offset)
 
 
