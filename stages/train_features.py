@@ -43,7 +43,6 @@ def train(arguments: Namespace, device: torch.device) -> None:
     precision = resolve_precision(scalar(arguments.params, "precision"), device)
     categories = list_categories(arguments.images)
     pictures = load_pictures(arguments.images, categories, device, memory)
-    test = load_pictures(arguments.test_images, categories, device, memory - placed_bytes(pictures.images))
     metadata = {"categories": " ".join(categories), "method": config.method}
     if config.method == "pretrained":
         if is_first():
@@ -52,6 +51,7 @@ def train(arguments: Namespace, device: torch.device) -> None:
             Curve().write(arguments.curve)
             write_json(arguments.metrics, {"maps": given.maps, "parameters": count_parameters(given)})
         return
+    test = load_pictures(arguments.test_images, categories, device, memory - placed_bytes(pictures.images))
     inputs = [arguments.images, arguments.test_images, arguments.initial]
     checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed, device, precision))
     seed = arguments.seed

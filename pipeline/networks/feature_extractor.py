@@ -51,7 +51,8 @@ class FeatureExtractor(nn.Module):
 
 def save_feature_extractor(path: Path, network: Network, color_weight: float, metadata: Mapping[str, str]) -> None:
     """Write a trained network's weights, in half precision, with what is needed to build the extractor again."""
-    tensors = {name: tensor.half() for name, tensor in network.state_dict().items()}
+    state = network.state_dict()
+    tensors = {name: tensor.half() if tensor.is_floating_point() else tensor for name, tensor in state.items()}
     save_tensors(path, tensors, {**metadata, **network.description, "color_weight": str(color_weight)})
 
 

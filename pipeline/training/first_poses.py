@@ -31,8 +31,10 @@ from pipeline.training.viewpoints import LightConfig, sample_lights
 _CHUNK = 250
 _FINEST_MAP = 16
 """Positions a side at which pictures are compared; finer ones take memory and agree no better."""
-SMALLEST = torch.finfo(torch.float32).tiny
-"""Keeps votes finite where all photographs are one, or where nothing votes for an azimuth."""
+_SMALLEST = torch.finfo(torch.float32).tiny
+"""Keeps votes finite where no rendering is near an azimuth."""
+_ALIKE = 1e-5
+"""Part of the mean distance: where a photograph's distances deviate by less, it is rounding that does."""
 
 
 @dataclass(frozen=True)
@@ -82,12 +84,11 @@ def first_poses(
     kernel = _kernel(poses, config.concentration)
     rendered = [_cut_renderings(model, scenes, one, poses, config, light, rng) for one in scenes.generators]
     votes = [count_votes(one, config.temperature) for one in _compare(cuts, rendered, extractor)]
-    by_azimuth = join_votes(
-        torch.stack([((vote @ kernel) / kernel.sum(dim=0)).clamp_min(SMALLEST).log() for vote in votes])
-    )
+    renderings = kernel.sum(dim=0).clamp_min(_SMALLEST)
+    by_azimuth = join_votes(torch.stack([((vote @ kernel) / renderings).clamp_min(_SMALLEST).log() for vote in votes]))
     winner = agree_on_azimuths(by_azimuth, cuts, extractor, config.consensus, rng).argmax(dim=1)
     near = votes[0] * kernel.T[winner]
-    elevation_and_roll = (near @ poses[:, 2:4]) / near.sum(dim=1, keepdim=True)
+    elevation_and_roll = (near @ poses[:, 2:4]) / near.sum(dim=1, keepdim=True).clamp_min(_SMALLEST)
     azimuth = bins(poses.device)[winner, None]
     return torch.cat([azimuth.cos(), azimuth.sin(), elevation_and_roll, estimated[:, 4:]], 1)
 
@@ -120,9 +121,10 @@ def cut_to_box(
 
 def count_votes(distances: Float[Tensor, "N K"], temperature: float) -> Float[Tensor, "N K"]:
     """Return how much each rendering counts for each photograph; a photograph's votes add up to 1."""
+    least = (_ALIKE * distances.abs().mean()).clamp_min(_SMALLEST)
     distances = distances - distances.mean(dim=0)
     deviations = distances - distances.mean(dim=1, keepdim=True)
-    distances = deviations / distances.std(dim=1, keepdim=True).clamp_min(SMALLEST)
+    distances = deviations / distances.std(dim=1, keepdim=True).clamp_min(least)
     return (-distances / temperature).softmax(dim=1)
 
 

@@ -60,7 +60,9 @@ def run_training(
     for call in prepare[prepared:]:
         call()
         prepared += 1
-        checkpoint.save(pack(**trainer.parts()), {"prepared": prepared, "iteration": 0, "rows": [], "recent": []})
+        tensors = pack(**trainer.parts())
+        require_finite(tensors, 0, name)
+        checkpoint.save(tensors, {"prepared": prepared, "iteration": 0, "rows": [], "recent": []})
     unread: list[Mapping[str, Float[Tensor, ""]]] = []
     total = schedule.iterations
     last = total if until is None else until

@@ -101,3 +101,14 @@ def test_weights_that_are_not_finite_are_never_saved(broken_from: int, tmp_path:
     assert restored is not None
     assert restored[1]["iteration"] == broken_from - 1
     assert torch.isfinite(restored[0]["place"])
+
+
+def test_what_a_preparation_leaves_is_saved_only_where_it_is_finite(tmp_path: Path) -> None:
+    descent, checkpoint = Descent(), Checkpoint(tmp_path, "key")
+
+    def spoil() -> None:
+        descent.place = torch.tensor(torch.nan)
+
+    with pytest.raises(TrainingDiverged, match="place is no longer finite after iteration 0 of descent"):
+        run_training(descent, Schedule(6, 6, 2), "descent", checkpoint, prepare=[spoil])
+    assert checkpoint.load() is None

@@ -125,6 +125,17 @@ def test_a_network_survives_its_file(tmp_path: Path) -> None:
         torch.testing.assert_close(loaded, own, rtol=0.02, atol=0.02)
 
 
+def test_counters_are_no_numbers_of_half_precision(tmp_path: Path) -> None:
+    network, path = trained_like(), tmp_path / "features.safetensors"
+    counters = {
+        name: buffer.fill_(70_001) for name, buffer in network.named_buffers() if not buffer.is_floating_point()
+    }
+    save_feature_extractor(path, network, 2.0, {})
+    loaded = load_wide_resnet(path, CPU).state_dict()
+    assert counters
+    assert all(loaded[name].equal(counter) for name, counter in counters.items())
+
+
 def test_a_file_of_something_else_is_a_data_error(tmp_path: Path) -> None:
     path = tmp_path / "mesh.safetensors"
     save_tensors(path, {"vertices": torch.zeros(3, 3)}, {})
