@@ -196,19 +196,6 @@ TABLES: dict[str, Table | Confusion] = {
             "fine-tuned distance": "reconstruction.tuned.feature_distance",
         },
     ),
-    "copying": Table(
-        "",
-        r"(toybox-(aeroplane|car|chair|horse)|stanford-car|cifar10-(automobile|horse)|mine-ship)(-no-copying-cost)?",
-        {
-            "feature distance": "reconstruction.predicted.feature_distance",
-            "fine-tuned": "reconstruction.tuned.feature_distance",
-            "views right": "pose.test.acc_pi6",
-            "base shape after full training": "shape.final_base.voxel_iou",
-            "shape IoU": "shape.test.voxel_iou",
-            "mask IoU": "shape.test.mask_iou",
-            "fine-tuned mask IoU": "shape.test_tuned.mask_iou",
-        },
-    ),
     "longer": Table(
         "",
         r"(toybox-car|toybox-chair|stanford-car|cifar10-automobile|cifar10-horse|mine-ship)-(longer|no-copying-cost)",
