@@ -136,6 +136,28 @@ def test_tables_are_those_of_the_files(committed: Path) -> None:
         assert text == with_tables(text, committed / "results"), f"run `make tables` and commit {page}"
 
 
+@pytest.mark.parametrize(
+    ("run", "key"),
+    [
+        ("toybox-car", "pose.test.acc_pi6"),
+        ("toybox-car", "shape.final_base.voxel_iou"),
+        ("stanford-car", "pose.test.acc_pi6"),
+        ("stanford-car", "pose.train.acc_pi6"),
+        ("toybox-horse", "pose.test.acc_pi6"),
+    ],
+)
+def test_the_text_says_the_figures_of_the_files(run: str, key: str, committed: Path) -> None:
+    seeds = []
+    for seed in ("", "-seed1", "-seed2"):
+        figures: Any = read_json(committed / f"results/metrics/{run}{seed}.json")
+        for part in key.split("."):
+            figures = figures[part]
+        seeds.append(figures["value"])
+    *each, mean = (f"{value:.3f}".removeprefix("0") for value in (*seeds, sum(seeds) / 3))
+    text = " ".join((committed / "README.md").read_text().split())
+    assert f"{mean} ({', '.join(each)})" in text
+
+
 def test_the_lock_knows_the_files(committed: Path) -> None:
     lock = YAML(typ="safe").load(committed / "dvc.lock")
     known = {out["path"]: out for stage in lock["stages"].values() for out in stage["outs"] if "nfiles" not in out}

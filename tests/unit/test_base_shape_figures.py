@@ -7,6 +7,7 @@ from pipeline.evaluation.alignment import turn_vertices
 from pipeline.evaluation.artifacts import TrueObjects
 from pipeline.evaluation.base_shape import base_shape_figures
 from pipeline.geometry.icosphere import icosphere
+from pipeline.geometry.normalize import fit_unit_cube
 
 DIRECTIONS, FACES = icosphere(2)
 LONG = DIRECTIONS * torch.tensor([0.25, 0.2, 0.5])
@@ -33,6 +34,13 @@ def test_every_seed_is_compared_in_its_best_turn() -> None:
     assert figures["voxel_iou"]["n"] == 2
     assert figures["chosen"]["voxel_iou"]["value"] == pytest.approx(sphere)
     assert figures["chosen"]["voxel_iou"]["n"] == 4
+
+
+def test_turns_are_of_15_degrees_and_fill_the_unit_cube_again() -> None:
+    true = TrueObjects(torch.zeros(1, 4, 4, dtype=torch.bool), LONG[None], FACES)
+    seeds = torch.cat([fit_unit_cube(turn_vertices(LONG[None], math.radians(degrees))) for degrees in (45, 105)])
+    figures = base_shape_figures(seeds, FACES, 0, true, true, 16)
+    assert min(figures["seeds"].values()) > 0.95
 
 
 def test_shapes_of_the_training_split_alone_tell_the_turn() -> None:

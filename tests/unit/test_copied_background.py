@@ -1,5 +1,6 @@
 """Texels that copy the background are told from those that do not."""
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -25,6 +26,20 @@ def test_objects_of_their_own_colours_copy_nothing() -> None:
 def test_what_whole_objects_share_with_their_backgrounds_is_no_copy() -> None:
     exposure = torch.rand(COUNT, 1, 1, 1, generator=generator(2))
     assert copied_background(painted(exposure * random_colors(0)), painted(exposure * random_colors(1))) < 1e-6
+
+
+def test_it_is_the_squared_excess_of_correlations_with_four_bands() -> None:
+    bands, own = torch.rand(COUNT, 3, 4, 1, generator=generator(5)), torch.rand(COUNT, 3, 8, 8, generator=generator(6))
+    scene = bands.repeat_interleave(2, dim=2).expand(-1, -1, -1, 8)
+    textures = own + torch.linspace(-1, 1, 8) * scene
+    excesses = []
+    for channel in range(3):
+        for band in range(4):
+            texels = np.cov(bands[:, channel, band, 0].numpy(), textures[:, channel].flatten(1).T.numpy(), bias=True)
+            deviations = np.sqrt(texels.diagonal() + 1e-3)
+            correlations = texels[0, 1:] / deviations[1:] / deviations[0]
+            excesses.append(np.maximum(correlations - correlations.mean(), 0) ** 2)
+    torch.testing.assert_close(copied_background(textures, scene).item(), float(np.mean(excesses)), rtol=1e-4, atol=0)
 
 
 @pytest.mark.parametrize("rows", [slice(0, 2), slice(6, 8)])

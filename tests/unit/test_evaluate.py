@@ -4,7 +4,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from pipeline.evaluation.alignment import turn_pose
+from pipeline.evaluation.alignment import turn_pose, turn_vertices
 from pipeline.evaluation.artifacts import Truth
 from pipeline.evaluation.evaluate import ChainResult, chain_result, evaluate_images, evaluate_truth
 from pipeline.evaluation.shape import iou
@@ -40,6 +40,12 @@ def training() -> Truth:
 
 
 @pytest.fixture(scope="module")
+def extractor() -> FeatureExtractor:
+    with initialised(0, "extractor"):
+        return FeatureExtractor(WideResNet(10, 1, 2), 2.0)
+
+
+@pytest.fixture(scope="module")
 def learned(training: Truth, truth: Truth) -> ChainResult:
     return turned_answers(training, truth)
 
@@ -60,6 +66,7 @@ def test_right_answers_in_a_turned_frame_score_full_marks(learned: ChainResult, 
     assert figures["shape"]["base"]["voxel_iou"]["value"] > 0.85
     assert figures["shape"]["final_base"]["voxel_iou"]["value"] < figures["shape"]["base"]["voxel_iou"]["value"]
     assert table["rotation_error_predicted"].sort().values[-4:].tolist() == pytest.approx([180] * 4, abs=1e-3)
+    assert table["rotation_error_tuned"].max() < 1e-3
 
 
 def test_the_training_split_alone_tells_the_turn(learned: ChainResult, training: Truth, truth: Truth) -> None:
@@ -123,6 +130,19 @@ def test_a_final_base_has_the_faces_of_the_reconstructions(learned: ChainResult,
     }
 
 
+def test_all_shapes_are_turned_as_the_poses_are(learned: ChainResult, training: Truth, truth: Truth) -> None:
+    further = math.radians(20)  # the frame is 70 degrees off then: unlike 90, not alike to the left and to the right
+    tuned, base = learned.reconstructions.tuned, turn_vertices(learned.base, further)
+    found = learned.reconstructions._replace(tuned=tuned._replace(vertices=turn_vertices(tuned.vertices, further)))
+    pose = turn_pose(learned.training_pose, further)
+    result = learned._replace(reconstructions=found, training_pose=pose, base=base, final_base=base)
+    shapes = evaluate_truth(result, training, truth, CONFIG)[0]["shape"]
+    assert shapes["test_tuned"]["voxel_iou"]["value"] > 0.99
+    assert shapes["base"]["voxel_iou"]["value"] > 0.85
+    for name in ("voxel_iou", "mean_shape_iou"):
+        assert shapes["final_base"][name] == shapes["base"][name]
+
+
 def test_single_stage_training_has_no_base_shape(learned: ChainResult, training: Truth, truth: Truth) -> None:
     shapes = evaluate_truth(learned._replace(final_base=None), training, truth, CONFIG)[0]["shape"]
     assert {"base", "final_base"}.isdisjoint(shapes)
@@ -151,9 +171,9 @@ def test_same_seed_gives_the_same_figures(learned: ChainResult, training: Truth,
     assert evaluate_truth(learned, training, truth, CONFIG)[0] == evaluate_truth(learned, training, truth, CONFIG)[0]
 
 
-def test_reconstruction_nearer_to_the_photograph_counts_as_improved(learned: ChainResult) -> None:
-    with initialised(0, "extractor"):
-        extractor = FeatureExtractor(WideResNet(10, 1, 2), 2.0)
+def test_reconstruction_nearer_to_the_photograph_counts_as_improved(
+    learned: ChainResult, extractor: FeatureExtractor
+) -> None:
     photographs = learned.reconstructions.tuned.images
     training = torch.randint(256, (3, *photographs.shape[1:]), generator=generator(0)).to(torch.uint8)
     figures, table = evaluate_images(photographs, training, learned.reconstructions, extractor, CONFIG)
@@ -162,6 +182,17 @@ def test_reconstruction_nearer_to_the_photograph_counts_as_improved(learned: Cha
     assert figures["vertex_deviation"]["predicted"]["n"] == COUNT
     assert figures["reconstruction"]["tuned"]["feature_distance"]["value"] == 0
     torch.testing.assert_close(table["psnr_predicted"], torch.full((COUNT,), -20 * math.log10(0.25)))
+    torch.testing.assert_close(table["psnr_tuned"], torch.full((COUNT,), 100.0))
+
+
+def test_shapes_may_differ_at_one_stage_alone(learned: ChainResult, extractor: FeatureExtractor) -> None:
+    predicted = learned.reconstructions.predicted
+    alike = predicted._replace(vertices=predicted.vertices[:1].expand(COUNT, -1, -1))
+    found, photographs = learned.reconstructions._replace(predicted=alike), predicted.images
+    training = torch.zeros(1, *photographs.shape[1:], dtype=torch.uint8)
+    spread = evaluate_images(photographs, training, found, extractor, CONFIG)[0]["vertex_deviation"]
+    assert spread["predicted"]["value"] == pytest.approx(0, abs=1e-6)
+    assert spread["tuned"]["value"] > 0.005
 
 
 def test_shapes_are_measured_at_their_own_stage(training: Truth, truth: Truth) -> None:
@@ -172,6 +203,16 @@ def test_shapes_are_measured_at_their_own_stage(training: Truth, truth: Truth) -
     shapes = evaluate_truth(found, training, truth, CONFIG)[0]["shape"]
     assert shapes["test_tuned"]["voxel_iou"]["value"] > 0.99
     assert shapes["test"]["voxel_iou"]["value"] < 0.6
+
+
+def test_heights_alone_may_be_wrong(learned: ChainResult, training: Truth, truth: Truth) -> None:
+    tuned = learned.reconstructions.tuned
+    heights = torch.ones(COUNT, 1, 3)
+    heights[:, 0, 1] = torch.linspace(1.3, 0.7, COUNT)
+    found = learned.reconstructions._replace(tuned=tuned._replace(vertices=tuned.vertices * heights))
+    shapes = evaluate_truth(learned._replace(reconstructions=found), training, truth, CONFIG)[0]["shape"]
+    assert shapes["test_tuned"]["width_correlation"]["value"] > 0.999
+    assert shapes["test_tuned"]["height_correlation"]["value"] < 0.9
 
 
 def test_the_size_of_a_shape_does_not_count(training: Truth, truth: Truth) -> None:

@@ -180,6 +180,17 @@ def test_the_median_of_chance_is_that_of_all_guesses() -> None:
     assert abs(row["value"] - pooled.quantile(0.5, dim=0).median().item()) > 1
 
 
+def test_the_median_of_chance_is_as_certain_as_the_pictures_are_alike() -> None:
+    def row(truth: Pose) -> dict[str, float]:
+        return baseline_figures(truth, truth, 100, torch.Generator().manual_seed(0))["chance"]["median_error_degrees"]
+
+    alike = pose(degrees(0, 90, 180, 270))
+    unlike = alike._replace(elevation=degrees(-80, -30, 0, 60))
+    assert row(alike)["n"] == 4
+    assert row(alike)["standard_error"] < 1
+    assert row(unlike)["standard_error"] > 6
+
+
 def test_constant_row_beats_chance_where_views_are_biased() -> None:
     truth, training = (pose(random_pose(300, seed).azimuth * 0.2) for seed in (6, 7))
     rows = baseline_figures(truth, training, 72, torch.Generator().manual_seed(0))

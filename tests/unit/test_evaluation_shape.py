@@ -37,6 +37,11 @@ def test_the_best_constant_shape_may_hold_what_few_shapes_fill() -> None:
     assert torch.equal(fit_constant(masks), masks[1])
 
 
+def test_a_constant_shape_holds_nothing_that_fewer_than_a_twentieth_of_shapes_fill() -> None:
+    assert fit_constant(torch.eye(20).bool()).all()
+    assert not fit_constant(torch.eye(21).bool()).any()
+
+
 def test_chamfer_of_shifted_grids_is_the_shift() -> None:
     axis = torch.arange(4.0)
     points = torch.cartesian_prod(axis, axis, axis)[None]

@@ -14,14 +14,14 @@ from pipeline.training.full_losses import pose_regression
 
 def test_total_variation_of_a_stripe_counts_both_of_its_edges() -> None:
     texture_maps = torch.zeros(1, 3, 8, 8)
-    texture_maps[..., 0] = 1  # the first column: one edge to the second, one to the last across the seam
-    torch.testing.assert_close(total_variation(texture_maps), torch.tensor(2 / 8))
+    texture_maps[..., 0] = 0.5  # the first column: one edge to the second, one to the last across the seam
+    torch.testing.assert_close(total_variation(texture_maps), torch.tensor(2 * 0.5 / 8))
 
 
 def test_total_variation_does_not_join_the_poles() -> None:
     texture_maps = torch.zeros(1, 3, 8, 8)
-    texture_maps[..., 4:, :] = 1
-    torch.testing.assert_close(total_variation(texture_maps), torch.tensor(1 / 7))
+    texture_maps[..., 4:, :] = 0.5
+    torch.testing.assert_close(total_variation(texture_maps), torch.tensor(0.5 / 7))
 
 
 def test_view_prior_loss_of_a_discriminator_that_cannot_tell() -> None:

@@ -138,6 +138,25 @@ def test_distance_of_shifted_surfaces() -> None:
     assert 0 < distance["mean_distance"] < distance["hausdorff"]
 
 
+def test_a_spike_is_as_far_whichever_surface_has_it() -> None:
+    _, faces, directions = deformed_sphere("dented", 3)
+    sphere = MappedMesh(directions, faces, directions)
+    spiked = sphere._replace(vertices=directions * torch.ones(len(directions), 1).index_fill(0, torch.tensor([5]), 1.3))
+    diagonals = [(mesh.vertices.amax(dim=0) - mesh.vertices.amin(dim=0)).norm().item() for mesh in (sphere, spiked)]
+    there, back = surface_distance(sphere, spiked), surface_distance(spiked, sphere)
+    for kind, distance in there.items():
+        assert distance * diagonals[0] == pytest.approx(back[kind] * diagonals[1], rel=1e-3), kind
+    assert there["hausdorff"] * diagonals[0] == pytest.approx(0.3, rel=0.05)
+
+
+@pytest.mark.parametrize("factor", [0.25, 4.0])
+def test_the_largest_distortion_is_that_of_a_share_too_small_or_too_large(factor: float) -> None:
+    _, faces, directions = deformed_sphere("dented", 2)
+    scales = torch.ones(len(directions), 1).index_fill(0, faces[0], factor)
+    measured = measure_map(MappedMesh(directions * scales, faces, directions))
+    assert measured["map_area_distortion_max"] > 8
+
+
 def test_sphere_maps_to_itself_without_distortion() -> None:
     vertices, faces, directions = deformed_sphere("dented", 4)
     sphere = MappedMesh(directions, faces, directions)

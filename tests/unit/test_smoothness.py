@@ -74,6 +74,15 @@ def test_amounts_within_the_tolerance_cost_nothing(rough_sphere: tuple[Tensor, T
     assert smoothness(vertices, topology_of(faces), config).tolist() == [0, 0]
 
 
+def test_what_exceeds_the_tolerance_costs_its_square(rough_sphere: tuple[Tensor, Tensor]) -> None:
+    vertices, faces = rough_sphere
+    norm, _, angle, _ = naive_terms(vertices[0], faces)
+    for kind, amount in (("laplacian", norm), ("angle", angle)):
+        config = only(**{f"{kind}_hinge_weight": 1.0, f"{kind}_tolerance": amount.item() / 3})
+        found = smoothness(vertices[:1], topology_of(faces), config)[0]
+        torch.testing.assert_close(found, (amount * 2 / 3) ** 2, rtol=1e-6, atol=0)
+
+
 def test_gradient(rough_sphere: tuple[Tensor, Tensor]) -> None:
     vertices, faces = rough_sphere
     config = SmoothnessConfig(1.0, 1.0, 0.1, 1.0, 0.01, 0.1)
