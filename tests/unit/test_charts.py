@@ -63,6 +63,22 @@ def test_histogram_bars_are_shares() -> None:
     assert heights[0] == pytest.approx(3 * heights[1], rel=0.01)
 
 
+def test_bars_of_two_groups_stand_side_by_side() -> None:
+    groups = {"before": [1.0, 15.0], "after": [2.0, 3.0]}
+    chart = drawing(histogram(groups, [0, 10, 20], Axis(0, 20, [0, 10, 20], "error")))
+    bars = sorted((float(bar.get("x", 0)), float(bar.get("width", 0)), bar.get("class")) for bar in chart.iter("rect"))
+    assert [style for _, _, style in bars] == ["bar series-0", "bar series-1"] * 2
+    middle = (LEFT + WIDTH - RIGHT) / 2
+    for (left, width, _), end in zip(bars, [bars[1][0], middle, bars[3][0], WIDTH - RIGHT], strict=True):
+        assert 0 < width <= end - left + 0.1
+
+
+def test_lines_of_two_series_differ_in_colour_and_dashes() -> None:
+    lines = list(drawing(line_chart({"a": [(0, 0), (1, 1)], "b": [(0, 1), (1, 0)]}, "loss")).iter("polyline"))
+    assert [line.get("class") for line in lines] == ["series-0 dash-0", "series-1 dash-1"]
+    assert lines[0].get("points") != lines[1].get("points")
+
+
 def test_last_edge_belongs_to_the_last_bar() -> None:
     chart = drawing(histogram({"errors": [180.0]}, [0, 90, 180.0], Axis(0, 180, [0, 180], "error")))
     assert [float(bar.get("height", 0)) > 0 for bar in chart.iter("rect")] == [False, True]

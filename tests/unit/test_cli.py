@@ -31,13 +31,15 @@ from pipeline.cli.photographs import Target, Task, list_tasks
 from pipeline.datasets.decoding import Fit, decode
 from pipeline.errors import DataError
 from pipeline.export.animation import write_mp4
+from pipeline.export.views import ViewConfig, on_white, render_textured
+from pipeline.geometry.camera import CameraConfig, pose_to_tensor
 from pipeline.networks.feature_extractor import extract, load_feature_extractor, save_feature_extractor
 from pipeline.networks.full_model import Reconstruction, full_model_texts
 from pipeline.networks.wide_resnet import WideResNet
 from pipeline.tensor_files import load_tensors, save_tensors
 from tests.fresh_params import write_fresh_params
 from tests.picture_trees import picture, write_folder
-from tests.tiny_full_model import photographs, tiny_model
+from tests.tiny_full_model import base_mesh, photographs, tiny_model
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +114,38 @@ def test_photographs_become_textured_meshes(project: Path, tmp_path: Path, capsy
     with Image.open(project / "out/car_turntable.gif") as turntable:
         assert turntable.size == (64, 64)
         assert len(list(ImageSequence.Iterator(turntable))) == 4
+
+
+def test_a_pose_file_says_the_pose_in_degrees_and_ndc_and_the_camera(project: Path, tmp_path: Path) -> None:
+    reconstruct(project, str(tmp_path / "van.png"), "--outputs", "pose")
+    pose = json.loads((project / "out/van_pose.json").read_text())
+    pose["center x"], pose["center y"] = pose.pop("center")
+    azimuth, elevation, roll, x, y, scale = pose_to_tensor(inferred(project, photographs(2)[0][1:]).pose)[0].tolist()
+    expected = {
+        "azimuth_degrees": math.degrees(azimuth) % 360,
+        "elevation_degrees": math.degrees(elevation),
+        "roll_degrees": math.degrees(roll),
+        "center x": x,
+        "center y": y,
+        "scale": scale,
+        "camera_distance": 2.7,
+        "camera_field_of_view_degrees": 30.0,
+    }
+    assert pose == pytest.approx(expected, abs=1e-3)
+    assert min(map(abs, expected.values())) > 5e-3, "wrong signs and units are told apart"
+
+
+def test_a_turntable_goes_once_around_with_growing_azimuth(project: Path, tmp_path: Path) -> None:
+    reconstruct(project, str(tmp_path / "car.png"), "--outputs", "turntable")
+    with Image.open(project / "out/car_turntable.gif") as turntable:
+        frames = [np.asarray(frame.convert("RGB")) / 255 for frame in ImageSequence.Iterator(turntable)]
+    found, mesh, view = inferred(project, photographs(2)[0][:1]), base_mesh(), ViewConfig(64, 1, 15)
+    shape, texture, camera = found.vertices[0], found.texture_maps[0], CameraConfig(2.7, 30.0)
+    views = render_textured(shape, mesh.faces, mesh.directions, texture, [0, 90, 180, 270], camera, view)
+    views = on_white(views).permute(0, 2, 3, 1).numpy()
+    distances = [[np.abs(frame - view).mean() for view in views] for frame in frames]
+    assert np.diag(distances).max() < 0.004
+    assert np.min(distances + np.eye(4)) > 0.01, "frames differ by more than GIF rounds"
 
 
 def test_a_page_shows_what_earlier_calls_have_made_too(project: Path, tmp_path: Path) -> None:

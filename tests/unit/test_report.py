@@ -3,6 +3,7 @@ import io
 import math
 import re
 import zipfile
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,15 +13,16 @@ import torch
 import trimesh
 from PIL import Image
 
+from pipeline.datasets.images import to_bytes
 from pipeline.errors import DataError
 from pipeline.export.picture import GAP, NAME_HEIGHT, data_uri, encode_png, enlarge, sheet
-from pipeline.export.report import choose_examples, write_report
-from pipeline.export.report_metrics import azimuth_chart, headline, pose_table, shape_table
-from pipeline.export.report_pictures import Gallery
+from pipeline.export.report import choose_examples, example_rows, reconstruction_rows, write_report
+from pipeline.export.report_metrics import azimuth_chart, curve_section, headline, pose_table, seed_lines, shape_table
+from pipeline.export.report_pictures import Gallery, example_section
 from pipeline.export.viewer import three_js
 from pipeline.export.views import on_white, render_clay, render_textured
 from pipeline.geometry.icosphere import icosphere
-from tests.report_inputs import CAMERA, CONFIG, DIMENSIONS, VIEW, inputs
+from tests.report_inputs import BLUE, CAMERA, CONFIG, DIMENSIONS, ORANGE, VIEW, figure, inputs, pose_figures
 
 EMPTY_ELEMENTS = {"meta", "img", "input"}
 
@@ -91,10 +93,16 @@ def test_viewer_holds_every_mesh_as_it_is_exported(tmp_path: Path) -> None:
 
 
 def test_viewer_starts_from_the_fine_tuned_viewpoints(tmp_path: Path) -> None:
-    write_report(inputs(truth=False), CONFIG, tmp_path / "page", tmp_path / "figures")
+    given = inputs(truth=False)
+    raised = given.reconstructions.tuned.pose._replace(elevation=torch.tensor([1.0, 20, 3, -5]).deg2rad())
+    found = given.reconstructions._replace(tuned=given.reconstructions.tuned._replace(pose=raised))
+    config = replace(CONFIG, view=replace(VIEW, elevation=15.0))
+    write_report(given._replace(reconstructions=found), config, tmp_path / "page", tmp_path / "figures")
     text = (tmp_path / "page/index.html").read_text()
-    azimuths = dict(re.findall(r'value="([\w-]+)" [^>]*data-azimuth="([^"]+)"', text))
-    assert (azimuths["best-1"], azimuths["best-3"]) == ("0.0", "30.0")
+    choices = re.findall(r'value="([\w-]+)" [^>]*data-azimuth="([^"]+)" data-elevation="([^"]+)"', text)
+    viewpoints = {key: viewpoint for key, *viewpoint in choices}
+    assert [viewpoints[key] for key in ("best-1", "best-3")] == [["0.0", "20.0"], ["30.0", "-5.0"]]
+    assert [viewpoints[key] for key in ("base", "seed-0", "seed-1")] == [["45.0", "15.0"]] * 3
 
 
 def test_rows_and_charts_tell_before_from_after_fine_tuning(tmp_path: Path) -> None:
@@ -151,6 +159,63 @@ def test_azimuths_are_plotted_over_true_ones() -> None:
     assert up == pytest.approx([0, -90, 170, 0], abs=1)
 
 
+def test_each_kind_of_wrong_azimuth_lies_on_its_guide() -> None:
+    chart = azimuth_chart(inputs(truth=True).table)
+    names = dict(re.findall(r'<line class="guide ([^"]*)"[^>]*/></svg>([^<]*)</span>', chart))
+    ends = 'x1="([^"]+)" y1="([^"]+)" x2="([^"]+)" y2="([^"]+)"'
+    guides: dict[str, list[list[float]]] = {name: [] for name in names.values()}
+    for style, *points in re.findall(f'<line class="guide ([^"]*)" {ends}', chart.partition("</svg>")[0]):
+        guides[names[style]].append([float(point) for point in points])
+    left, bottom, right, top = guides["correct"][0]  # from -180 to 180 degrees
+    for truth in (-135, -45, 45, 135):
+        x = left + (truth + 180) / 360 * (right - left)
+        estimates = {"correct": truth, "flipped": truth + 180, "mirrored": -truth, "front for back": 180 - truth}
+        for name, estimate in estimates.items():
+            y = bottom + (estimate + 180) % 360 / 360 * (top - bottom)
+            met = [y1 + (x - x1) / (x2 - x1) * (y2 - y1) for x1, y1, x2, y2 in guides[name] if x1 <= x <= x2]
+            assert met == pytest.approx([y], abs=0.2), (name, truth)
+
+
+def test_columns_of_poses_and_shapes_have_the_figures_of_their_headings() -> None:
+    kinds = {"flipped": 0.11, "mirrored": 0.12, "front for back": 0.13, "other": 0.14}
+    pose = {**kinds, "seen side": 0.15, "front or side": 0.16}
+    given = pose_figures(0.5, 20) | {name.replace(" for", "").replace(" ", "_"): figure(pose[name]) for name in pose}
+    expected = {"within 30°": "0.500", "median error, °": "20.0", **{name: f"{pose[name]:.3f}" for name in pose}}
+    assert headed_rows(pose_table({"test": given})) == [{"poses": "test", **expected, "n": "4"}]
+    columns = ("voxel_iou", "chamfer_l1", "mask_iou", "width_correlation", "height_correlation")
+    shape = {name: figure(place / 10) for place, name in enumerate(columns)}
+    assert headed_rows(shape_table({"base": shape})) == [
+        {
+            "shapes": "base shape",
+            "volume IoU": "0.000",
+            "Chamfer-L1": "0.100",
+            "mask IoU": "0.200",
+            "correlation of widths": "0.300",
+            "of heights": "0.400",
+        }
+    ]
+
+
+def test_curves_of_seeds_are_lines_of_their_own_averaged_over_stretches() -> None:
+    rows = [(seed, iteration) for iteration in range(240) for seed in (0, 1)]
+    columns = {
+        "seed": [str(seed) for seed, _ in rows],
+        "iteration": [str(iteration) for _, iteration in rows],
+        "loss": [str((1 + seed) * iteration**2) for seed, iteration in rows],
+    }
+    averaged = [(place + 0.5, place**2 + place + 0.5) for place in range(0, 240, 2)]
+    assert seed_lines(columns, "loss") == {"seed 0": averaged, "seed 1": [(x, 2 * y) for x, y in averaged]}
+    charts = curve_section({"base_shape": columns}).body
+    assert re.findall("</svg>(seed [^<]*)</span>", charts) == ["seed 0", "seed 1"]
+    assert charts.partition("</svg>")[0].count("<polyline") == 2
+
+
+def headed_rows(text: str) -> list[dict[str, str]]:
+    """Read a table's rows, without standard errors, by the headings of their columns."""
+    headings = re.findall("<th>(.*?)</th>", text)
+    return [dict(zip(headings, (name, *cells), strict=True)) for name, cells in first_cells(text).items()]
+
+
 def first_cells(text: str) -> dict[str, list[str]]:
     """Read the values of a page's table rows, without their standard errors, by the row's name."""
     rows = [re.findall("<td>(.*?)(?: <small>.*?)?</td>", row) for row in re.findall("<tr[^>]*>(<td>.*?)</tr>", text)]
@@ -200,6 +265,29 @@ def test_boxed_objects_fill_their_other_views() -> None:
         reach[framing] = max(drawn.any(dim=0).sum().item(), drawn.any(dim=1).sum().item())
     assert reach["free"] < 8
     assert reach["box"] >= 15
+
+
+def test_other_views_are_turned_on_from_the_fine_tuned_viewpoint() -> None:
+    given = inputs(truth=False)
+    gallery, last = Gallery(given.reconstructions, given.photographs, CAMERA, "free", VIEW), torch.tensor([3])
+    turned = gallery.renderings(last, 60.0)[0, 2]  # 30 + 60 degrees: the left side, its front in the left half
+    torch.testing.assert_close(turned[:, 8, [5, 10]].T, torch.stack([ORANGE, BLUE]), atol=0.02, rtol=0)
+    row = reconstruction_rows(gallery, last, "best", False, 60.0)["best: fine-tuned and turned by 60 degrees"]
+    assert torch.equal(row[0, :, ::3, ::3], turned[:, ::2, ::2])  # 16 pixels enlarged to 24
+    shown = re.findall(
+        'src="data:image/png;base64,([^"]+)"', example_section("a", "", gallery, last, given.table, 60).body
+    )
+    assert torch.equal(read_png(base64.b64decode(shown[3])).permute(2, 0, 1), to_bytes(turned))
+
+
+def test_corners_are_of_the_front_of_the_rear_and_of_the_shape_in_grey() -> None:
+    given = inputs(truth=False)
+    gallery = Gallery(given.reconstructions, given.photographs, CAMERA, "free", VIEW)
+    *corners, clay = on_white(gallery.corners(0))[:, :, 12, 12]
+    torch.testing.assert_close(torch.stack(corners), torch.stack([ORANGE, BLUE]), atol=0.02, rtol=0)
+    torch.testing.assert_close(clay, clay.mean().expand(3))
+    front, rear, grey = list(example_rows(gallery, torch.tensor([0]), drawn=False).values())[1:]
+    assert torch.equal(torch.cat([front, rear, grey]), on_white(gallery.corners(0)))
 
 
 def test_same_inputs_give_the_same_bytes(tmp_path: Path) -> None:
