@@ -147,12 +147,8 @@ def test_tables_are_those_of_the_files(committed: Path) -> None:
     ],
 )
 def test_the_text_says_the_figures_of_the_files(run: str, key: str, committed: Path) -> None:
-    seeds = []
-    for seed in ("", "-seed1", "-seed2"):
-        figures: Any = read_json(committed / f"results/metrics/{run}{seed}.json")
-        for part in key.split("."):
-            figures = figures[part]
-        seeds.append(figures["value"])
+    files = [committed / f"results/metrics/{run}{seed}.json" for seed in ("", "-seed1", "-seed2")]
+    seeds = [MeasuredRun(run, None, read_json(file)).by_name()[key]["value"] for file in files]
     *each, mean = (f"{value:.3f}".removeprefix("0") for value in (*seeds, sum(seeds) / 3))
     text = " ".join((committed / "README.md").read_text().split())
     assert f"{mean} ({', '.join(each)})" in text
