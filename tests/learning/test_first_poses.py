@@ -46,8 +46,10 @@ def test_votes_follow_the_nearest_and_forgive_hubs() -> None:
 
 
 def test_photographs_that_are_all_alike_vote_for_nothing() -> None:
-    distances = 20 + torch.rand(1, 16).expand(7, 16)
-    torch.testing.assert_close(count_votes(distances, 0.3), torch.full((7, 16), 1 / 16), rtol=0.1, atol=0)
+    votes = count_votes(torch.tensor([[3.0, 5.0, 4.0]]).expand(6, 3), 0.3)
+    torch.testing.assert_close(votes, torch.full((6, 3), 1 / 3))
+    rounded = 20 + torch.rand(1, 16).expand(7, 16)  # the mean of seven is not exact
+    torch.testing.assert_close(count_votes(rounded, 0.3), torch.full((7, 16), 1 / 16), rtol=0.1, atol=0)
 
 
 def test_an_azimuth_without_renderings_gets_no_votes() -> None:
