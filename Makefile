@@ -9,7 +9,7 @@ NAMES := ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASE_SHAPE BASE
 WORDS := $(foreach name,$(.VARIABLES),$(if $(filter command,$(firstword $(origin $(name)))),$(name)))
 OPTIONS := $(foreach option,$(filter $(WORDS),$(NAMES)),$(if $($(option)),$(option)))
 STRAY := $(firstword $(filter-out $(NAMES) PYTHON -%,$(WORDS)))
-ifneq ($(filter-out hologan colmap,$(if $(filter BASELINE,$(OPTIONS)),$(BASELINE))),)
+ifneq ($(if $(filter BASELINE,$(OPTIONS)),$(filter-out 1,$(words $(BASELINE)))$(filter-out hologan colmap,$(BASELINE))),)
 $(error BASELINE is $(BASELINE); expected hologan or colmap)
 endif
 ifneq ($(if $(filter run,$(MAKECMDGOALS)),,$(OPTIONS)),)
@@ -34,7 +34,7 @@ install: $(STAMP)  ## set up the environment alone
 run: $(if $(filter BASELINE,$(OPTIONS)),$(TOOLS),$(STAMP))  ## add a run to params.yaml and run it: ROW= SIZE=laptop|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASE_SHAPE= BASELINE=
 	@test -n "$(filter ROW,$(OPTIONS))" || { echo "name a row: make run ROW=toybox-car, or another of those in params.yaml" >&2; exit 2; }
 	$(if $(STRAY),$(error $(STRAY) is no option of make run; expected: $(NAMES)))
-	@python -m stages.run_row $(foreach option,$(OPTIONS),--$(shell echo $(option) | tr A-Z a-z) "$$$(option)")
+	@python -m stages.run_row $(foreach option,$(OPTIONS),--$(shell echo $(option) | tr A-Z a-z)="$$$(option)")
 
 test: $(TOOLS)  ## the whole test suite
 	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder

@@ -70,7 +70,8 @@ def in_one_sentence() -> Iterator[None]:
     status 130, a closed pipe with 141.
     """
     try:
-        yield
+        with _unwrapped():
+            yield
         _flush()
     except UserError as error:
         sys.exit(f"error: {error}")
@@ -95,6 +96,18 @@ def in_one_sentence() -> Iterator[None]:
     except KeyboardInterrupt:
         sys.stderr.write(STOPPED)
         sys.exit(_INTERRUPTED)
+
+
+@contextmanager
+def _unwrapped() -> Iterator[None]:
+    """Raise what was raised inside of a kernel of numba, as by Ctrl-C, which arrives as the cause of SystemErrors."""
+    try:
+        yield
+    except SystemError as error:
+        inner: BaseException = error
+        while isinstance(inner, SystemError) and inner.__cause__ is not None:
+            inner = inner.__cause__
+        raise inner from None
 
 
 def _flush() -> None:

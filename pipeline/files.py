@@ -1,5 +1,7 @@
 """Write files whole or not at all, with bytes that depend on their content alone."""
 
+import errno
+import fcntl
 import hashlib
 import json
 import shutil
@@ -10,6 +12,8 @@ from typing import Any
 
 from pipeline.errors import DataError
 
+_FULL = {errno.ENOSPC, errno.EDQUOT}
+
 
 @contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
@@ -17,7 +21,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
     The block creates a file or a directory there. After an error, `path` is as it was before, and after a kill too, but
     for a directory that was just being replaced, which is missing then. What an earlier kill left is removed first. A
-    link at `path` is replaced, and what it points to stays.
+    link at `path` is replaced, and what it points to stays. A full disk is an OSError that names `path`.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".partial-{path.name}")
@@ -27,8 +31,28 @@ def atomic_path(path: Path) -> Iterator[Path]:
         if path.is_dir():
             _remove(path)
         temporary.replace(path)
+    except OSError as error:
+        if error.errno in _FULL:
+            error.filename = error.filename or str(path)
+        raise
     finally:
         _remove(temporary)
+
+
+@contextmanager
+def alone(path: Path) -> Iterator[None]:
+    """Keep other processes that ask for the same from `path` inside the block. Raises DataError where one is there."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock = path.with_name(f".lock-{path.name}")
+    with lock.open("w") as stream:
+        try:
+            fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise DataError(f"another process is writing {path}; wait for it, or name another path") from None
+        try:
+            yield
+        finally:
+            lock.unlink()
 
 
 def write_json(path: Path, value: Any) -> None:

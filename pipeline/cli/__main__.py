@@ -220,10 +220,11 @@ def _benchmark(arguments: Namespace) -> None:
 def _doctor(arguments: Namespace) -> None:
     from pipeline.cli.doctor import findings
 
-    lines = list(findings(arguments.project))
-    for found, what, advice in lines:
+    complete = True
+    for found, what, advice in findings(arguments.project):
         print(f"{'ok     ' if found else 'MISSING'} {what}" + (f": {advice}" if advice else ""))
-    if not all(line.found for line in lines):
+        complete &= found
+    if not complete:
         sys.exit(1)
 
 

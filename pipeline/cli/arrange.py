@@ -1,6 +1,7 @@
 """Bring a folder of photographs into the form that the pipeline learns from."""
 
 import csv
+import os
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -15,7 +16,7 @@ from pipeline.cli.photographs import find_photographs, visible_files
 from pipeline.config import is_plain
 from pipeline.datasets.decoding import open_picture, reading, to_srgb
 from pipeline.errors import DataError
-from pipeline.files import atomic_path
+from pipeline.files import alone, atomic_path
 
 TEST_EVERY = 10
 LONGEST = 1024
@@ -46,8 +47,9 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
     They are turned upright, become RGB in the colours of sRGB, on white where they are transparent, and are made
     smaller until their long side is 1024 px or their short side `least_side`. Those that cannot be read, whose short
     side is below `least_side`, or that would still be longer than a JPEG can be, are left out. `originals.csv` says
-    which photograph each picture is a copy of. Raises DataError for an `out` that exists or is inside of the folder,
-    for a folder in it that is a link, and where fewer than two photographs are left.
+    which photograph each picture is a copy of. Raises DataError for an `out` that exists, is inside of the folder or is
+    just being written by another process, for a folder in it that is a link, and where fewer than two photographs are
+    left.
     """
     if not is_plain(category):
         raise DataError(f"the category is '{category}'; expected a name of letters, digits, _ and - (a to z)")
@@ -55,10 +57,10 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
         raise DataError(f"{folder} is no folder; give one of photographs of one category")
     if folder.resolve() in out.resolve().parents:
         raise DataError(f"{out} is inside of {folder}; name a folder outside of it")
-    if out.exists():
-        raise DataError(f"{out} exists; name a folder that does not")
+    _require_absent(out)
     found, originals, left_out = find_photographs(folder), {}, []
-    with atomic_path(out) as temporary:
+    with alone(out), atomic_path(out) as temporary:
+        _require_absent(out)
         for path in tqdm(found, "arranging", disable=None):
             split = "train" if len(originals) % TEST_EVERY else "test"
             try:
@@ -74,9 +76,15 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
             first = f" ({left_out[0]})" if left_out else ""
             raise DataError(f"{folder} has {len(originals)} photographs that can be used{first}; expected at least 2")
         _write_originals(temporary / ORIGINALS, originals)
+        _require_absent(out)
     passed_over = Counter(path.suffix.lower() for path in set(visible_files(folder)).difference(found))
     test = sum(name.startswith("test/") for name in originals)
     return Arranged(len(originals) - test, test, left_out, passed_over)
+
+
+def _require_absent(out: Path) -> None:
+    if os.path.lexists(out):
+        raise DataError(f"{out} exists; name a folder that does not")
 
 
 def _write_originals(path: Path, originals: Mapping[str, str]) -> None:

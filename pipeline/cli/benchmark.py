@@ -1,10 +1,11 @@
 """Another method's predictions for a category's pictures, measured as a run is."""
 
+import os
 from pathlib import Path
 from typing import Any
 
 from pipeline.cli.runs import photographs_file, truth_folder
-from pipeline.config import load, nearest
+from pipeline.config import is_plain, load, nearest
 from pipeline.datasets.images import load_images
 from pipeline.errors import ConfigError, DataError
 from pipeline.evaluation.artifacts import load_truth
@@ -17,11 +18,13 @@ from pipeline.files import read_json, write_json
 def benchmark(predictions: Path, project: Path, dataset: str, category: str, out: Path) -> dict[str, Any]:
     """Write the figures of a file of predictions as JSON, and return them.
 
-    Raises ConfigError for a category whose truth is not known, and DataError for an `out` that is no name of a JSON
-    file, a dataset that is not prepared, and predictions that cannot be measured.
+    Raises ConfigError for a dataset that is no name or a category whose truth is not known, and DataError for an `out`
+    that cannot be written or is no name of a JSON file, a dataset that is not prepared, and predictions that cannot be
+    measured.
     """
-    if out.suffix != ".json" or out.is_dir():
-        raise DataError(f"{out} cannot be written; name a file that ends in .json")
+    _require_writable(out)
+    if not is_plain(dataset):
+        raise ConfigError(f"the dataset is '{dataset}'; expected an entry of `datasets` in params.yaml")
     config = load(project / "params.yaml", EvaluateConfig, ["evaluate"])
     folder = truth_folder(project, dataset)
     if (truth := load_truth(folder, category)) is None:
@@ -31,3 +34,11 @@ def benchmark(predictions: Path, project: Path, dataset: str, category: str, out
     figures = benchmark_figures(read_predictions(predictions, counts), *truth, photographs, config)
     write_json(out, figures)
     return figures
+
+
+def _require_writable(out: Path) -> None:
+    if out.suffix != ".json" or out.is_dir():
+        raise DataError(f"{out} cannot be written; name a file that ends in .json")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if not os.access(out.parent, os.W_OK):
+        raise DataError(f"{out} cannot be written; look at the permissions of {out.parent}, or name another folder")

@@ -97,7 +97,7 @@ class Writing(NamedTuple):
         except OSError as error:
             if error.errno not in _OF_ONE_NAME:
                 raise
-            return f"{picture.task.photograph}: {error}"
+            return f"{picture.task.photograph}: {error}; rename it, or name another folder"
         return None
 
     def _write(self, picture: Picture, found: Found) -> None:

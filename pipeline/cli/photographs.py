@@ -53,7 +53,7 @@ class Task(NamedTuple):
         origin = self.target.file(ORIGIN)
         if not origin.is_file():
             return False
-        if origin.read_text(encoding="utf-8") != sha256(self.photograph):
+        if _read_origin(origin) != sha256(self.photograph):
             raise DataError(
                 f"{self.target.path} is made of another photograph than {self.photograph} is now; name another folder, "
                 f"or remove {origin.name} there to write over it"
@@ -63,11 +63,15 @@ class Task(NamedTuple):
     def claim(self, content_hash: str) -> None:
         """Say at the target of which photograph it is made from now on; what is there of another one is removed."""
         origin = self.target.file(ORIGIN)
-        if not origin.is_file() or origin.read_text(encoding="utf-8") != content_hash:
+        if not origin.is_file() or _read_origin(origin) != content_hash:
             for ending in itertools.chain(*FILES.values()):
                 self.target.file(ending).unlink(missing_ok=True)
         with atomic_path(origin) as temporary:
             temporary.write_text(content_hash, encoding="utf-8")
+
+
+def _read_origin(origin: Path) -> str:
+    return origin.read_text(encoding="utf-8", errors="replace")  # a damaged one is of another photograph
 
 
 def find_targets(out: Path, outputs: Sequence[str]) -> list[Target]:

@@ -79,7 +79,9 @@ def read_tree(path: Path, wanted: Wanted = lambda _: True) -> Iterator[Entry]:
         read = _read_zip if _start(path).startswith(_ZIP) else _read_tar
         yield from read(path, wanted)
     except DAMAGE as error:
-        raise DataError(f"{path} is not a complete tar or zip archive ({error}); download or copy it again") from None
+        raise DataError(
+            f"{path} is not a complete tar or zip archive ({error}); name one, or a folder, or download it again"
+        ) from None
 
 
 def walk(folder: Path) -> Iterator[Path]:

@@ -3,6 +3,7 @@
 import io
 import math
 import struct
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Literal
@@ -114,9 +115,13 @@ def _fitted(picture: Image.Image, name: str, size: int, fit: Fit) -> UInt8[np.nd
 
 @contextmanager
 def reading(name: str) -> Iterator[None]:
-    """Turn what goes wrong when a picture is read inside the block into a DataError that names the picture."""
+    """Turn what goes wrong when a picture is read inside the block into a DataError that names the picture.
+
+    What PIL warns of, such as EXIF data that it can do without, is not told.
+    """
     try:
-        yield
+        with warnings.catch_warnings(action="ignore"):
+            yield
     except UnidentifiedImageError:  # its text names the buffer, not the picture
         raise DataError(f"{name} cannot be read as a picture (unknown format); replace or remove it") from None
     except Image.DecompressionBombError as error:

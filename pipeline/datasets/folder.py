@@ -36,7 +36,7 @@ def read_folder(path: Path, config: FolderConfig) -> Iterator[Picture]:
     Raises DataError for a source or picture that cannot be used and, at the end, for a category without pictures in one
     split.
     """
-    counts: dict[str, Counter[str]] = {split: Counter() for split in SPLITS}
+    counts: Counter[tuple[str, str]] = Counter()
     others = _Others()
     with tqdm(desc=f"reading {path.name}", unit="", disable=None) as progress:
         for name, content in read_tree(path, others.wanted):
@@ -44,27 +44,27 @@ def read_folder(path: Path, config: FolderConfig) -> Iterator[Picture]:
             if is_hidden(name):
                 continue
             is_picture = name.suffix.lower() in ENDINGS
-            if len(parts) < 2 or parts[-2] not in counts or (content is not None and not is_picture):
+            if len(parts) < 2 or parts[-2] not in SPLITS or (content is not None and not is_picture):
                 others.note(name)
                 continue
             split, category = parts[-2:]
-            if content is None and category in counts:
+            if content is None and category in SPLITS:
                 continue  # the whole source may lie in a folder `test`
-            counts[split][category] += 0
+            counts[split, category] += 0
             if content is not None:
                 pixels = decode(content, f"{path}: {name}", config.size, config.fit)
-                counts[split][category] += 1
+                counts[split, category] += 1
                 progress.update()
                 yield Picture(split, category, name.name, pixels)
-    _require_all(path, counts)
     others.tell(path)
+    require_all(path, counts)
 
 
-def category_of(name: PurePosixPath) -> str | None:
-    """Return the category whose picture a path inside the source names; None for any other path."""
+def place_of(name: PurePosixPath) -> tuple[str, str] | None:
+    """Return split and category of the picture that a path inside the source names; None for any other path."""
     folder = name.parent
     is_picture = name.suffix.lower() in ENDINGS and folder.parent.name in SPLITS and not is_hidden(name)
-    return folder.name if is_picture else None
+    return (folder.parent.name, folder.name) if is_picture else None
 
 
 class _Others:
@@ -97,19 +97,15 @@ class _Others:
             )
 
 
-def _require_all(path: Path, counts: Mapping[str, Counter[str]]) -> None:
-    categories = sorted({category for group in counts.values() for category in group})
+def require_all(path: Path, counts: Mapping[tuple[str, str], int]) -> None:
+    """Raise DataError, by counts of (split, category), without categories or for one without pictures in one split."""
+    categories = sorted({category for _, category in counts})
     if not categories:
-        raise without_pictures(path)
+        raise DataError(
+            f"{path} has no pictures at train/<category>/ and test/<category>/; `kato3d arrange` puts them there; "
+            f"expected {' '.join(sorted(ENDINGS))}, or of CIFAR-10 cifar-10-python.tar.gz itself"
+        )
     for split in SPLITS:
         for category in categories:
-            if not counts[split][category]:
+            if not counts.get((split, category)):
                 raise DataError(f"{path} has no pictures in {split}/{category}/; expected at least one in each split")
-
-
-def without_pictures(path: Path) -> DataError:
-    """Say what a source without pictures should look like."""
-    return DataError(
-        f"{path} has no pictures at train/<category>/ and test/<category>/; `kato3d arrange` puts them there; "
-        "of CIFAR-10, name cifar-10-python.tar.gz itself"
-    )

@@ -1,5 +1,6 @@
 """What a folder or an archive of photographs is, told by names alone."""
 
+from collections import Counter
 from pathlib import Path, PurePosixPath
 from typing import Literal, NamedTuple
 
@@ -7,7 +8,7 @@ from tqdm import tqdm
 
 from pipeline.datasets import cifar10, pascal3d, posed_folder
 from pipeline.datasets.archives import read_tree
-from pipeline.datasets.folder import category_of, without_pictures
+from pipeline.datasets.folder import place_of, require_all
 
 OFFICIAL_CIFAR10 = "cifar-10-python.tar.gz"
 
@@ -29,19 +30,20 @@ class Contents(NamedTuple):
 def survey(path: Path) -> Contents:
     """Look at the names of all files once, and read none.
 
-    Raises DataError for a source that is damaged and, unless it is CIFAR-10 or PASCAL3D+, for one without categories.
+    Raises DataError for a source that is damaged and, unless it is CIFAR-10 or PASCAL3D+, for one without categories or
+    with one that has no pictures in one split.
     """
     if path.is_file() and path.name == OFFICIAL_CIFAR10:
         return Contents(path, "cifar10", frozenset(cifar10.CATEGORIES))
     names = {"annotations": False, "batches": False, "table": False}
-    categories: set[str] = set()
+    counts: Counter[tuple[str, str]] = Counter()
     with tqdm(desc=f"looking through {path.name}", unit="", delay=1, disable=None) as progress:
 
         def note(name: PurePosixPath) -> bool:
             names["annotations"] |= name.match(pascal3d.ANNOTATIONS)
             names["batches"] |= name.match(cifar10.BATCHES)
             names["table"] |= posed_folder.is_table(name)
-            categories.update(filter(None, [category_of(name)]))
+            counts.update(filter(None, [place_of(name)]))
             progress.update()
             return False
 
@@ -51,6 +53,6 @@ def survey(path: Path) -> Contents:
         return Contents(path, "pascal3d", frozenset())
     if names["batches"] and path.is_file():
         return Contents(path, "cifar10", frozenset(cifar10.CATEGORIES))
-    if not categories:
-        raise without_pictures(path)
-    return Contents(path, "posed_folder" if names["table"] else "folder", frozenset(categories))
+    require_all(path, counts)
+    categories = frozenset(category for _, category in counts)
+    return Contents(path, "posed_folder" if names["table"] else "folder", categories)

@@ -251,16 +251,45 @@ def test_a_name_that_is_no_text_is_printed(tmp_path: Path, capsys: pytest.Captur
         ({"a.jpg": noise(0)}, "my ship", "mine", "the category is 'my ship'; expected a name of letters"),
         ({"a.jpg": noise(0)}, "café", "mine", "the category is 'café'; expected a name of letters"),
         ({"a.jpg": noise(0)}, "ship", "photos", "photos exists; name a folder that does not"),
+        ({"a.jpg": noise(0)}, "ship", "link", "link exists; name a folder that does not"),
     ],
 )
 def test_what_is_wrong_is_one_sentence_and_leaves_nothing(
     tmp_path: Path, files: dict[str, bytes], category: str, out: str, message: str
 ) -> None:
     photos = write_folder(tmp_path / "photos", files)
+    (tmp_path / "link").symlink_to("nothing")
     before = sorted(tmp_path.rglob("*"))
     with pytest.raises(DataError, match=message):
         arrange(photos, category, tmp_path / out, 32)
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_what_appears_meanwhile_stays(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    photos, save = write_folder(tmp_path / "photos", {"a.jpg": noise(1), "b.jpg": noise(2)}), Image.Image.save
+
+    def save_beside_another(picture: Image.Image, path: Path, **options: Any) -> None:
+        (tmp_path / "mine").mkdir(exist_ok=True)
+        save(picture, path, **options)
+
+    monkeypatch.setattr(Image.Image, "save", save_beside_another)
+    with pytest.raises(DataError, match="mine exists; name a folder that does not"):
+        arrange(photos, "ship", tmp_path / "mine", 32)
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "mine", photos]
+    assert not list((tmp_path / "mine").iterdir())
+
+
+def test_two_commands_do_not_write_one_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    photos, save = write_folder(tmp_path / "photos", {"a.jpg": noise(1), "b.jpg": noise(2)}), Image.Image.save
+
+    def save_beside_another(picture: Image.Image, path: Path, **options: Any) -> None:
+        with pytest.raises(DataError, match=r"another process is writing .*mine; wait for it"):
+            arrange(photos, "ship", tmp_path / "mine", 32)
+        save(picture, path, **options)
+
+    monkeypatch.setattr(Image.Image, "save", save_beside_another)
+    assert arrange(photos, "ship", tmp_path / "mine", 32) == (1, 1, [], {})
+    assert sorted(tmp_path.iterdir()) == [tmp_path / "mine", photos]
 
 
 def test_an_archive_is_no_folder(tmp_path: Path) -> None:

@@ -321,6 +321,9 @@ def test_what_is_made_of_another_photograph_stays(
     assert "1 written to" in (printed := capsys.readouterr().out.splitlines()[-2])
     assert "0 already there, 1 failed" in printed
     assert (project / "out/car_pose.json").read_text() == first
+    (project / "out/car_photograph.sha256").write_bytes(b"\xff\0")
+    with pytest.raises(SystemExit, match=r"remove car_photograph\.sha256 there to write over it$"):
+        reconstruct(project, str(tmp_path / "car.png"), "--outputs", "pose")
     (project / "out/car_photograph.sha256").unlink()
     assert "car_pose.json" not in reconstruct(project, photographs[0], "--outputs", "mesh")
     capsys.readouterr()
@@ -579,7 +582,10 @@ def test_a_name_that_is_too_long_for_what_is_written_stops_no_other(project: Pat
     with pytest.raises(SystemExit) as caught:
         reconstruct(project, str(folder), "--outputs", "pose,picture")
     lines = sorted(str(caught.value.code).splitlines())
-    assert [name in line and "File name too long" in line for name, line in zip(names[1:3], lines, strict=True)] == [
+    assert [
+        name in line and "File name too long" in line and line.endswith("or name another folder")
+        for name, line in zip(names[1:3], lines, strict=True)
+    ] == [
         True,
         True,
     ]
@@ -665,6 +671,13 @@ def test_runs_writes_and_opens_a_table_of_all_runs(project: Path, monkeypatch: p
     assert "<td>car</td>" in text
 
 
+def test_runs_names_a_file_that_holds_no_figures(project: Path) -> None:
+    (project / "results/metrics").mkdir(parents=True)
+    (project / "results/metrics/car.json").write_text("0.5")
+    with pytest.raises(SystemExit, match=r"^error: \S*car\.json is damaged: it holds no figures by name; remove it"):
+        main(["runs", "--project", str(project)])
+
+
 def test_doctor_names_what_is_missing(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as exit_:
         main(["doctor", "--project", str(project)])
@@ -685,6 +698,15 @@ def test_doctor_needs_no_runs(project: Path, capsys: pytest.CaptureFixture[str])
     YAML().dump(settings, params)
     main(["doctor", "--project", str(project)])
     assert "MISSING" not in capsys.readouterr().out
+
+
+def test_doctor_tells_what_it_finds_before_what_it_cannot_read(
+    project: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (project / "params.yaml").write_text("runs: [")
+    with pytest.raises(SystemExit, match=r"^error: \S*params\.yaml"):
+        main(["doctor", "--project", str(project)])
+    assert "ok      MeshLab loads" in capsys.readouterr().out
 
 
 def test_doctor_names_an_entry_that_is_no_section(project: Path) -> None:

@@ -3,6 +3,7 @@
 import io
 import struct
 import tracemalloc
+import warnings
 
 import numpy as np
 import pytest
@@ -156,6 +157,12 @@ def test_a_picture_of_a_telephone_is_read_or_refused() -> None:
 def test_a_picture_that_would_fill_the_memory_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100)
     with pytest.raises(DataError, match=r"car/7.jpg is too large .* \(1024 pixels\) exceeds limit of 200 pixels; make"):
+        decode(noise(0), "car/7.jpg", 32, "crop")
+
+
+def test_a_large_picture_is_read_without_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 1000)
+    with warnings.catch_warnings(action="error"):
         decode(noise(0), "car/7.jpg", 32, "crop")
 
 

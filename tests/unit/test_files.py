@@ -1,12 +1,13 @@
 """Files appear whole or not at all, and their bytes depend on their content alone."""
 
+import errno
 from pathlib import Path
 
 import pytest
 import torch
 
 from pipeline.errors import DataError, in_one_sentence
-from pipeline.files import atomic_path, read_json, sha256, write_json
+from pipeline.files import alone, atomic_path, read_json, sha256, write_json
 
 
 def _write_half(path: Path) -> None:
@@ -34,6 +35,35 @@ def test_memory_that_does_not_suffice_is_one_sentence() -> None:
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 1 GiB\nSee documentation")
     with pytest.raises(RuntimeError, match="shapes"), in_one_sentence():
         torch.mm(torch.ones(2, 2), torch.ones(3, 3))
+
+
+def test_a_full_disk_names_what_was_written(tmp_path: Path) -> None:
+    expected = rf"^error: {tmp_path}/value.txt: No space left on device; look at the path"
+    with pytest.raises(SystemExit, match=expected), in_one_sentence(), atomic_path(tmp_path / "value.txt"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+
+def test_what_a_system_error_wraps_is_told() -> None:
+    wrapped, own = SystemError("a function returned a result with an exception set"), SystemError("its own")
+    wrapped.__cause__ = DataError("the disk is gone")
+    with pytest.raises(SystemExit, match=r"^error: the disk is gone$"), in_one_sentence():
+        raise wrapped
+    with pytest.raises(SystemError, match="its own"), in_one_sentence():
+        raise own
+
+
+def test_one_process_at_a_time_writes(tmp_path: Path) -> None:
+    path = tmp_path / "folder"
+    with (
+        alone(path),
+        alone(tmp_path / "other"),
+        pytest.raises(DataError, match=r"is writing .*folder; wait"),
+        alone(path),
+    ):
+        pass
+    with alone(path):
+        pass
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_a_kill_left_behind_is_removed(tmp_path: Path) -> None:

@@ -90,6 +90,15 @@ def test_a_category_missing_from_the_test_split_is_named(tmp_path: Path) -> None
         list(read_folder(write_folder(tmp_path, files), CONFIG))
 
 
+def test_pictures_of_another_form_are_told_before_they_are_missed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = {"train/car/1.gif": b"x", "test/car/1.gif": b"x"}
+    with pytest.raises(DataError, match=r"no pictures in train/car/; expected at least one"):
+        list(read_folder(write_folder(tmp_path, files), CONFIG))
+    assert "left out 2 files, such as test/car/1.gif; pictures are read at" in capsys.readouterr().err
+
+
 def test_another_arrangement_is_explained(tmp_path: Path) -> None:
     with pytest.raises(DataError, match=r"no pictures at train/<category>/ and test/<category>/"):
         list(read_folder(write_folder(tmp_path, {"car/1.jpg": b"x"}), CONFIG))

@@ -31,7 +31,11 @@ def write(path: Path, form: str, files: Mapping[str, bytes]) -> Path:
             "folder",
             {"car", "horse"},
         ),
-        ({"test/ship/1.HEIC": b"", ".old/poses.csv": b"", "__MACOSX/poses.csv": b""}, "folder", {"ship"}),
+        (
+            {"train/ship/1.HEIC": b"", "test/ship/1.HEIC": b"", ".old/poses.csv": b"", "__MACOSX/poses.csv": b""},
+            "folder",
+            {"ship"},
+        ),
     ],
 )
 def test_names_tell_kind_and_categories(
@@ -64,8 +68,22 @@ def test_a_source_without_categories_is_refused(tmp_path: Path, form: str) -> No
         survey(path)
 
 
+@pytest.mark.parametrize("form", WRITERS)
+def test_a_category_without_pictures_in_one_split_is_refused(tmp_path: Path, form: str) -> None:
+    path = write(tmp_path, form, tree(**{"test/car/1.jpg": None, "test/car/2.jpg": None}))
+    with pytest.raises(DataError, match="has no pictures in test/car/; expected at least one in each split"):
+        survey(path)
+
+
+@pytest.mark.parametrize("ending", ["gif", "jfif", "avif"])
+def test_pictures_of_another_form_are_told_what_forms_there_are(tmp_path: Path, ending: str) -> None:
+    path = write(tmp_path, "folder", {f"{split}/car/1.{ending}": b"" for split in ("train", "test")})
+    with pytest.raises(DataError, match=r"there; expected \.bmp \.heic \.heif \.jpeg \.jpg .*, or of CIFAR-10"):
+        survey(path)
+
+
 def test_a_damaged_archive_is_refused(tmp_path: Path) -> None:
     path = write(tmp_path, "tar.gz", tree())
     path.write_bytes(path.read_bytes()[:-100])
-    with pytest.raises(DataError, match=r"source\.tar\.gz is not a complete tar or zip archive"):
+    with pytest.raises(DataError, match=r"source\.tar\.gz is not a complete tar or zip archive \(.*\); name one, or a"):
         survey(path)
