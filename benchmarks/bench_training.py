@@ -108,9 +108,9 @@ def test_full_training_step(benchmark: BenchmarkFixture, size: str) -> None:
     def step() -> None:
         trainer.step(next(iterations))
 
-    benchmark.pedantic(complete(step), rounds=rounds, warmup_rounds=5 if ON_GPU else 1)  # a GPU records the fourth
+    benchmark.pedantic(complete(step), rounds=rounds, warmup_rounds=5 if ON_GPU else 1)  # a GPU captures the fourth
     benchmark.extra_info["largest_items"] = largest_items(step, 10)
-    fresh = trainer_of(size)  # whose first steps are not recorded: what a recording does cannot be counted
+    fresh = trainer_of(size)  # whose first steps are no graph: what a graph does cannot be counted
     precision = fresh.extractor.precision
     benchmark.extra_info["floors"] = floors(lambda: fresh.step(trainer.config.iterations // 2), precision)
     if not ON_GPU:

@@ -38,7 +38,7 @@ def seconds(function: Callable[[], object], repeats: int) -> float:
 
 
 def seconds_on_gpu(function: Callable[[], object]) -> float:
-    """Return the time that a GPU spends in a function, without the host's: a recording of it is replayed."""
+    """Return the time that a GPU spends in a function, without the host's: a graph of it is replayed."""
     stream = torch.cuda.Stream()
     with torch.cuda.stream(stream):
         for _ in range(3):

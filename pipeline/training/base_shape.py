@@ -32,11 +32,11 @@ from pipeline.ranges import Count, Fraction, Momentum, Natural, Positive
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, Part
+from pipeline.training.cuda_graph import GraphedStep
 from pipeline.training.curves import Curve
 from pipeline.training.loop import Schedule, run_training
 from pipeline.training.optimization import adam, falling, set_learning_rate, take_step
 from pipeline.training.photographs import Photographs
-from pipeline.training.recording import Recorded
 from pipeline.training.viewpoints import LightConfig, ViewpointConfig, enlarge_fronts, sample_lights, sample_viewpoints
 
 
@@ -139,7 +139,7 @@ class SeedTrainer:
             ).to(device)
         self.optimizer = adam(self.scene.parameters(), config.learning_rate, config.betas)
         self.rng = generator(seed, "base_shape", index, device=device)
-        self._learn = Recorded(self._learn_once, device, self.rng) if photographs.on_device else self._learn_once
+        self._learn = GraphedStep(self._learn_once, device, self.rng) if photographs.on_device else self._learn_once
         agree(self.scene.state_dict().values())
 
     def generate(self, count: int, rng: torch.Generator) -> tuple[Scene, Float[Tensor, "B 3 H W"]]:

@@ -29,6 +29,7 @@ from pipeline.training.candidates import (
     refining,
 )
 from pipeline.training.checkpoint import Part
+from pipeline.training.cuda_graph import GraphedStep
 from pipeline.training.ends import EndsConfig, tell_ends
 from pipeline.training.exploration import explore
 from pipeline.training.first_poses import FirstPosesConfig, first_poses, read_poses
@@ -36,7 +37,6 @@ from pipeline.training.full_losses import FullLoss, LossConfig
 from pipeline.training.lessons import LessonsConfig, learn_poses
 from pipeline.training.optimization import adam, falling, set_learning_rate, take_step
 from pipeline.training.photographs import Photographs
-from pipeline.training.recording import Recorded
 from pipeline.training.warm_up import WarmUpConfig, warm_up
 
 _CHUNK = 10_000
@@ -136,7 +136,7 @@ class FullTrainer:
         self.rng = generator(seed, "full_training", device=device)
         self.record = first_record(self.model, len(photographs.images), self.rng)
         self.visits = torch.zeros(len(photographs.images), dtype=torch.int64, device=device)
-        self._refine, self._explore = map(self._recorded, (refining(config.exploration), config.exploration))
+        self._refine, self._explore = map(self._graphed, (refining(config.exploration), config.exploration))
         agree([*self.model.state_dict().values(), *self.discriminator.state_dict().values()])
 
     def draw(self, iteration: int) -> Int[Tensor, " B"]:
@@ -159,9 +159,9 @@ class FullTrainer:
         refines = config.starts_from_first_poses and iteration < config.settle * config.iterations
         return (self._refine if refines else self._explore)(self.draw(iteration))
 
-    def _recorded(self, exploration: ExplorationConfig) -> Callable[[Tensor], dict[str, Float[Tensor, ""]]]:
+    def _graphed(self, exploration: ExplorationConfig) -> Callable[[Tensor], dict[str, Float[Tensor, ""]]]:
         learn = partial(self._learn_from, exploration)
-        return Recorded(learn, self.rng.device, self.rng) if self.photographs.on_device else learn
+        return GraphedStep(learn, self.rng.device, self.rng) if self.photographs.on_device else learn
 
     def _learn_from(self, exploration: ExplorationConfig, index: Int[Tensor, " B"]) -> dict[str, Float[Tensor, ""]]:
         own = share(index)

@@ -17,8 +17,8 @@ from pipeline.distributed import average, share, silent
 from pipeline.networks.full_model import FullModel
 from pipeline.ranges import Count, Momentum, Natural, Positive
 from pipeline.training.checkpoint import read_losses, require_finite
+from pipeline.training.cuda_graph import GraphedStep
 from pipeline.training.optimization import adam, falling, set_learning_rate, take_step
-from pipeline.training.recording import Recorded
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ def learn_poses(
         take_step(loss, optimizer)
         return {"loss": average(loss.detach())}
 
-    step, losses = Recorded(learn, rng.device), []
+    step, losses = GraphedStep(learn, rng.device), []
     for number in tqdm(range(config.iterations), "lessons", disable=silent()):
         rows = share(torch.randint(len(index), (config.batch_size,), generator=rng, device=rng.device))
         set_learning_rate(falling(config.learning_rate, number, config.iterations, 0.5), optimizer)

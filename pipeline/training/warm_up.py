@@ -20,8 +20,8 @@ from pipeline.ranges import Count, Momentum, Natural, NonNegative, Positive
 from pipeline.rendering.lighting import Light
 from pipeline.rendering.renderer import Mesh, render
 from pipeline.training.checkpoint import read_losses, require_finite
+from pipeline.training.cuda_graph import GraphedStep
 from pipeline.training.optimization import adam, take_step
-from pipeline.training.recording import Recorded
 from pipeline.training.viewpoints import LightConfig, sample_lights
 
 
@@ -82,7 +82,7 @@ def warm_up(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng:
         take_step(loss, optimizer)
         return {"loss": average(loss.detach())}
 
-    step = Recorded(learn, rng.device, rng)
+    step = GraphedStep(learn, rng.device, rng)
     losses = [step() for _ in tqdm(range(config.iterations), "warm-up", disable=silent())]
     read_losses(losses, config.iterations - 1, "the warm-up")
     require_finite(model.state_dict(), config.iterations - 1, "the warm-up")
