@@ -20,7 +20,7 @@ def write_gallery(path: Path, targets: Sequence[Target], camera: CameraConfig) -
     They are called by their paths within the page's folder.
     """
     shown = targets[:SHOWN]
-    introduction = f"{len(shown)} of {len(targets)} reconstructed photographs."
+    introduction = f"{len(shown)} of {len(targets)} reconstructed photographs whose mesh, picture and pose are here."
     section = viewer_section([_exhibit(target, path.parent) for target in shown], camera)
     text = page("Reconstructions", introduction, [], [section])
     with atomic_path(path) as temporary:

@@ -29,8 +29,10 @@ class Seam(NamedTuple):
 
     faces: Int[Tensor, "F 3"]
     """Of the whole mesh."""
-    mixture: Float[Tensor, "U V"]
-    """How much of each vertex of the whole mesh is in each of the cut one."""
+    mixture: Float[Tensor, "W V"]
+    """How much of each vertex of the whole mesh is in each of its vertices and poles."""
+    origins: Int[Tensor, " U"]
+    """Which of these each vertex of the cut mesh copies to the last bit, so that readers can join the copies."""
     uv: Float[Tensor, "U 2"]
     cut_faces: Int[Tensor, "G 3"]
 
@@ -40,8 +42,8 @@ class Seam(NamedTuple):
         # The renderer repeats the outermost rows; a viewer that repeats the whole texture must not reach beyond them.
         margin = 0.5 / texture_size
         return UnwrappedMesh(
-            self.mixture @ vertices,
-            functional.normalize(self.mixture @ normals, dim=1),
+            (self.mixture @ vertices)[self.origins],
+            functional.normalize(self.mixture @ normals, dim=1)[self.origins],
             torch.stack([self.uv[:, 0], self.uv[:, 1].clamp(margin, 1 - margin)], dim=1),
             self.cut_faces,
         )
@@ -50,8 +52,8 @@ class Seam(NamedTuple):
 def cut_open(faces: Int[Tensor, "F 3"], directions: Float[Tensor, "V 3"]) -> Seam:
     """Give each corner its place in an equirectangular texture, as the renderer samples it.
 
-    The cut runs down the back (-z) from pole to pole. Faces around a pole are split there, and each part gets a pole of
-    its own, above the middle of its base.
+    The cut runs down the back (-z) from pole to pole. Faces around a pole are split there; in the texture each part has
+    the pole above the middle of its base.
     """
     count, cut_faces = len(directions), faces
     mixture, directions = torch.eye(count), functional.normalize(directions, dim=1)
@@ -62,26 +64,26 @@ def cut_open(faces: Int[Tensor, "F 3"], directions: Float[Tensor, "V 3"]) -> Sea
     corners = torch.cat([cut_faces.flatten()[:, None], (uv * 2**20).round().long()], dim=1)
     kept, new_faces = corners.unique(dim=0, return_inverse=True)
     uv = uv.new_zeros(len(kept), 2).index_copy(0, new_faces, uv)
-    return Seam(faces, mixture[kept[:, 0]], uv, new_faces.view(-1, 3))
+    return Seam(faces, mixture, kept[:, 0], uv, new_faces.view(-1, 3))
 
 
 def _split_at_pole(
-    mixture: Float[Tensor, "U V"], directions: Float[Tensor, "U 3"], faces: Int[Tensor, "F 3"], sign: float
+    mixture: Float[Tensor, "W V"], directions: Float[Tensor, "W 3"], faces: Int[Tensor, "F 3"], sign: float
 ) -> tuple[Float[Tensor, "vertices V"], Float[Tensor, "vertices 3"], Int[Tensor, "faces 3"]]:
-    """Replace the faces that contain the direction (0, sign, 0) by their parts that meet in it."""
+    """Replace the faces that contain the direction (0, sign, 0) by their parts that meet in it, in one new vertex."""
     pole = directions.new_tensor([0.0, sign, 0.0])
     corners = directions[faces]
     facing = (corners @ pole).amax(dim=1) > 0
     weights = torch.linalg.solve(corners[facing].double().mT, pole.double().expand(int(facing.sum()), 3))
     weights = weights / weights.sum(dim=1, keepdim=True)
-    around = facing.nonzero()[:, 0][(weights > -ON_EDGE).all(dim=1)]
+    contain = (weights > -ON_EDGE).all(dim=1)
+    around, weights = facing.nonzero()[:, 0][contain], weights[contain].to(mixture)
     new_faces = [faces[~torch.isin(torch.arange(len(faces)), around)]]
-    for face, weight in zip(around, weights[(weights > -ON_EDGE).all(dim=1)].to(mixture), strict=True):
-        middle = weight @ mixture[faces[face]]
+    for face, weight in zip(around, weights, strict=True):
         for corner in (weight > ON_EDGE).nonzero()[:, 0]:
             new_faces.append(faces[face].index_fill(0, corner, len(directions))[None])
-            mixture, directions = torch.cat([mixture, middle[None]]), torch.cat([directions, pole[None]])
-    return mixture, directions, torch.cat(new_faces)
+    middle = weights[:1] @ mixture[faces[around[0]]]
+    return torch.cat([mixture, middle]), torch.cat([directions, pole[None]]), torch.cat(new_faces)
 
 
 def _corner_uv(directions: Float[Tensor, "U 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "F 3 2"]:

@@ -1,4 +1,7 @@
-"""Renderings for people: shapes as grey clay or textured, from given sides, with a transparent background."""
+"""Renderings for people: shapes as grey clay or textured, from given sides, with a transparent background.
+
+An object that would be cut off somewhere in a full turn is drawn smaller, from all sides alike.
+"""
 
 import math
 from collections.abc import Sequence
@@ -9,7 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn import functional
 
-from pipeline.geometry.camera import CameraConfig, level_pose
+from pipeline.geometry.camera import CameraConfig, level_pose, project
 from pipeline.ranges import Count, Elevation
 from pipeline.rendering.lighting import Light
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
@@ -17,6 +20,8 @@ from pipeline.rendering.renderer import Mesh, RendererConfig, render
 CLAY = 0.8
 SEED_AZIMUTHS = (0.0, 45.0, 90.0, 225.0)
 """Front, front corner, side and rear corner, in degrees: from where base shapes are shown."""
+_TURNS = 72
+"""Of a full turn, that are looked at for what would be cut off."""
 
 
 @dataclass(frozen=True)
@@ -77,14 +82,21 @@ def _render(
     config: ViewConfig,
 ) -> Float[Tensor, "K 4 H W"]:
     """Render from all turns in one batch; colours are those of the covered part of each pixel, opacity is its share."""
-    count = len(turns)
-    elevation = torch.full_like(turns, math.radians(config.elevation))
-    pose = level_pose(turns, elevation)
+    count, elevation = len(turns), math.radians(config.elevation)
+    pose = level_pose(turns, torch.full_like(turns, elevation))
+    pose = pose._replace(scale=pose.scale / _reach(vertices, elevation, camera).clamp(min=1))
     mesh = Mesh(vertices.expand(count, -1, -1), faces, directions)
     renderer = RendererConfig(camera=camera, size=config.size, supersampling=config.supersampling)
     images, silhouettes = render(mesh, texture.expand(count, -1, -1, -1), pose, None, light, renderer)
     opacity = silhouettes[:, None].clamp(0, 1)
     return torch.cat([images / opacity.clamp_min(1e-6), opacity], dim=1).clamp(0, 1)
+
+
+def _reach(vertices: Float[Tensor, "V 3"], elevation: float, camera: CameraConfig) -> Float[Tensor, ""]:
+    """Return how far a shape reaches in a full turn, in ndc: 1 is the border of the picture."""
+    turns = torch.arange(_TURNS) * (2 * math.pi / _TURNS)
+    pose = level_pose(turns, torch.full_like(turns, elevation))
+    return project(vertices.expand(_TURNS, -1, -1), pose, camera)[..., :2].abs().max()
 
 
 def on_white(pictures: Float[Tensor, "*batch 4 H W"]) -> Float[Tensor, "*batch 3 H W"]:

@@ -15,6 +15,7 @@ from trimesh.visual import TextureVisuals
 from pipeline.export.glb import write_glb
 from pipeline.export.obj import write_obj
 from pipeline.export.seam import UnwrappedMesh, cut_open
+from pipeline.geometry.closed_mesh import is_closed
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.topology import polygon_areas
 from tests.deformed_spheres import deformed_sphere
@@ -80,6 +81,25 @@ def test_shape_is_unchanged(place: Callable[[Tensor], Tensor]) -> None:
     torch.testing.assert_close(areas.sum(), polygon_areas(vertices, faces).sum())
     torch.testing.assert_close(mesh.normals.norm(dim=1), torch.ones(len(mesh.normals)))
     assert len(mesh.vertices) < 1.15 * len(vertices)
+
+
+def upright(direction: Tensor) -> Tensor:
+    """Return the rotation, to be multiplied from the right, that turns a direction upwards."""
+    up = torch.nn.functional.normalize(direction, dim=0)
+    right = torch.nn.functional.normalize(torch.linalg.cross(up, torch.tensor([0.3, 0.5, 0.8])), dim=0)
+    return torch.stack([right, up, torch.linalg.cross(right, up)], dim=1)
+
+
+@pytest.mark.parametrize("weights", [[1.0, 0, 0], [0.72, 0.28, 0], [0.5, 0.3, 0.2]], ids=["corner", "edge", "face"])
+def test_copies_along_the_cut_are_equal_to_the_last_bit(weights: list[float], tmp_path: Path) -> None:
+    directions, faces = icosphere(2)
+    shapes = torch.rand(len(directions), 1, generator=torch.Generator().manual_seed(0)) + 0.5
+    for face in faces[::20]:
+        placed = directions @ upright(torch.tensor(weights) @ directions[face])
+        mesh = cut_open(faces, placed).unwrap(placed * shapes, SIZE)
+        assert is_closed(mesh.vertices, mesh.faces)
+        loaded = read_glb(tmp_path, mesh)
+        assert is_closed(torch.tensor(loaded.vertices), torch.tensor(loaded.faces))
 
 
 def read_obj(folder: Path, mesh: UnwrappedMesh) -> trimesh.Trimesh:

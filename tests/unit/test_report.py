@@ -365,6 +365,15 @@ def test_clay_is_transparent_around_the_shape_and_solid_inside() -> None:
     torch.testing.assert_close(on_white(views)[:, :, 0, 0], torch.ones(2, 3))
 
 
+def test_what_would_be_cut_off_is_drawn_smaller_from_all_sides() -> None:
+    sphere, faces = icosphere(2)
+    tall = sphere.float() * torch.tensor([0.5, 1.2, 0.3])
+    views = render_clay(tall, faces, [0.0, 45.0, 90.0], CAMERA, VIEW)[:, 3]
+    heights, widths = ((views > 0.5).any(dim=axis).sum(dim=1) for axis in (2, 1))
+    assert heights.tolist() == [VIEW.size] * 3
+    torch.testing.assert_close(widths[[0, 2]] / VIEW.size, torch.tensor([0.5, 0.3]) / 1.2, atol=1 / VIEW.size, rtol=0)
+
+
 def test_textured_view_keeps_its_colour_up_to_the_edge() -> None:
     sphere, faces = icosphere(2)
     red = torch.tensor([1.0, 0, 0])[:, None, None].expand(3, 4, 4)
