@@ -9,12 +9,12 @@ from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import yaml
 
 from pipeline.errors import ConfigError, DataError
-from pipeline.ranges import Range
+from pipeline.ranges import PowersOfTwo, Range
 
 Config = TypeVar("Config")
 
@@ -30,8 +30,13 @@ class _Leaf:
 class _Loader(yaml.SafeLoader):
     """Read YAML, but refuse a key that stands twice in a section, of which others take the last one.
 
-    5e-05, which DVC writes for `-S` and YAML 1.2 takes for a number, is one here too.
+    Numbers are those of YAML 1.2, which DVC reads and writes: 5e-05 is one, 0100 is 100 and 1:30 is text.
     """
+
+    yaml_implicit_resolvers: ClassVar = {
+        first: [(tag, form) for tag, form in resolvers if not tag.endswith((":int", ":float"))]
+        for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+    }
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
@@ -46,8 +51,14 @@ class _Loader(yaml.SafeLoader):
 
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$"),
+    re.compile(r"[-+]?(\d+\.\d*|\.\d+|(\d+\.?\d*|\.\d+)[eE][-+]?\d+|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$"),
     list("-+.0123456789"),
+)
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:int", re.compile(r"[-+]?\d+$|0o[0-7]+$|0x[\da-fA-F]+$"), list("-+0123456789")
+)
+_Loader.add_constructor(
+    "tag:yaml.org,2002:int", lambda _, node: int(node.value, 0 if node.value[:2] in ("0o", "0x") else 10)
 )
 
 
@@ -56,8 +67,8 @@ def load(path: Path, config_class: type[Config], sections: Sequence[str]) -> Con
 
     Sections are dotted keys such as `sizes.laptop.train_full`. They are merged from left to right: a later section
     replaces the values it names, at any depth, and keeps the others. Fields may be bool, int, float, str, `Literal`,
-    numbers within a `Range`, tuples of those, another dataclass, or any of these `| None`. Nothing has a default:
-    every field must be given.
+    numbers within a `Range` or among `PowersOfTwo`, tuples of those, another dataclass, or any of these `| None`.
+    Nothing has a default: every field must be given.
 
     Raises ConfigError for a section or key that does not exist (with the nearest one that does), for a missing key
     and for a value of the wrong type or out of range.
@@ -204,7 +215,7 @@ def _cast(hint: Any, value: Any) -> Any:
     return float(value) if hint is float else value
 
 
-def _bounded(hint: Any) -> tuple[Any, Range]:
+def _bounded(hint: Any) -> tuple[Any, Range | PowersOfTwo]:
     """Take an annotated number apart."""
     kind, bounds = get_args(hint)
     return kind, bounds

@@ -65,7 +65,7 @@ def resolve_processes(processes: object, device: torch.device, parts: int) -> in
             return min(gpus, parts) if parts > 1 else _power_of_two(gpus)
         return min(2, parts, torch.get_num_threads())
     if type(processes) is not int or processes < 1:
-        raise ConfigError(f"processes is {processes!r}; expected auto or a whole number from 1")
+        raise ConfigError(f"processes of a stage are {processes!r}; expected auto or a whole number from 1")
     return processes
 
 

@@ -27,6 +27,21 @@ class Range:
         return " and ".join(filter(None, (low, high)))
 
 
+@dataclass(frozen=True)
+class PowersOfTwo:
+    """Hold the powers of two from one of them on."""
+
+    low: int
+
+    def __contains__(self, value: int) -> bool:
+        """Say whether a number is one of them."""
+        return value >= self.low and not value & (value - 1)
+
+    def __str__(self) -> str:
+        """Say what is expected, as in `a whole number, a power of two from 4`."""
+        return f"a power of two from {self.low}"
+
+
 Count = Annotated[int, Range(1)]
 Natural = Annotated[int, Range(0)]
 """How many, where 0 leaves it out."""
@@ -47,5 +62,7 @@ Azimuth = Annotated[float, Range(-360, 360)]
 """An angle around the vertical, in degrees."""
 Concentration = Annotated[float, Range(0, 1000, open_low=True)]
 """How narrow a distribution of angles is; more than that is narrower than what angles are counted in."""
+TextureSize = Annotated[int, PowersOfTwo(4)]
+"""Texels a side: generators begin with 4 and double them."""
 Elevation = Annotated[float, Range(-90, 90)]
 """An angle above the horizon, in degrees."""

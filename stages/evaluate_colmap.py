@@ -13,10 +13,10 @@ from stages.command_line import parse, run
 
 def main() -> None:
     """Write the figures and COLMAP's log, and print what it says."""
-    arguments = parse(__doc__, images=Path, out=Path, log=Path)
+    arguments = parse(__doc__, images=Path, seed=int, out=Path, log=Path)
     config = load(arguments.params, ColmapConfig, arguments.sections)
     with TemporaryDirectory() as folder:
-        figures, log = run_colmap(load_images(arguments.images), config, Path(folder))
+        figures, log = run_colmap(load_images(arguments.images), config, arguments.seed, Path(folder))
     with atomic_path(arguments.log) as temporary:
         temporary.write_text(log, encoding="utf-8")
     write_json(arguments.out, {"colmap": figures})

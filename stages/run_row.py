@@ -6,7 +6,7 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 from pipeline.errors import ConfigError
-from pipeline.rows.turn_on import BASELINES, Options, turn_on, turn_on_baseline
+from pipeline.rows.turn_on import BASELINES, Options, turn_on
 from stages.command_line import run
 from stages.settings import require_settings
 
@@ -27,11 +27,9 @@ def main() -> None:
     parser.add_argument("--base_shape", help="another run's base shape to train around, an entry of `base_shapes`")
     parser.add_argument("--baseline", choices=BASELINES, help="measure this on the same photographs instead")
     options = Options(**vars(parser.parse_args()))
-    name, stage = turn_on(PARAMS, options), "report"
+    name = turn_on(PARAMS, options)
     require_settings(PARAMS, options.row, options.size, options.ablation)
-    if options.baseline:
-        stage = f"evaluate_{options.baseline}"
-        turn_on_baseline(PARAMS, options.baseline, name)
+    stage = f"evaluate_{options.baseline}" if options.baseline else "report"
     # In this process's place, so that Ctrl-C reaches DVC alone, which waits for its stage and releases its lock.
     os.execv(sys.executable, [sys.executable, "-m", "dvc", "repro", f"{stage}@{name}"])
 

@@ -3,10 +3,12 @@
 from pathlib import Path
 from typing import Any
 
-from pipeline.config import load
+from pipeline.config import load, scalar
+from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.evaluation.evaluate import EvaluateConfig
 from pipeline.export.report import ReportConfig
-from pipeline.rows.entries import settings_of
+from pipeline.launch import resolve_processes
+from pipeline.rows.entries import SHARED, settings_of
 from pipeline.training.base_shape import BaseShapeConfig
 from pipeline.training.features import FeaturesConfig
 from pipeline.training.fine_tune import FineTuneConfig
@@ -29,5 +31,10 @@ CONFIGS: dict[str, type[Any]] = {
 
 def require_settings(params: Path, row: str, size: str, ablation: str) -> None:
     """Raise ConfigError where a stage of such a run would, for a setting that is unknown, missing or out of range."""
+    device = resolve_device(scalar(params, "device"))
+    resolve_precision(scalar(params, "precision"), device)
+    resolve_memory(scalar(params, "memory"))
+    for stage in SHARED:
+        resolve_processes(scalar(params, f"processes.{stage}"), device, parts=1)
     for stage, config in CONFIGS.items():
         load(params, config, settings_of(stage, row, size, ablation))

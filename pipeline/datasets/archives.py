@@ -1,5 +1,6 @@
 """Read trees of files from a folder or an archive, without unpacking anything."""
 
+import bz2
 import gzip
 import lzma
 import os
@@ -26,8 +27,13 @@ DAMAGE = (
 )
 """What the readers of archives raise when bytes are missing or wrong."""
 
-_ZIP, _GZIP = (b"PK\x03\x04", b"PK\x05\x06"), b"\x1f\x8b"
-"""How files of these forms begin."""
+_ZIP = (b"PK\x03\x04", b"PK\x05\x06")
+"""How zips begin."""
+_UNPACKERS = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
+"""What unpacks a packed tar, by how it begins. tarfile itself would read the first of several streams alone, and
+not look at gzip's checksum."""
+_UTF8 = 0x800
+"""The flag of a zip's member whose name is text in UTF-8."""
 _ENCRYPTED = 1
 """The flag of a zip's member that needs a password."""
 
@@ -108,7 +114,7 @@ def is_hidden(name: PurePath) -> bool:
 def _read_zip(path: Path, wanted: Wanted) -> Iterator[Entry]:
     with zipfile.ZipFile(path) as archive:
         for member in archive.infolist():
-            name = _inside(path, member.filename)
+            name = _inside(path, _name(member))
             if (member.external_attr >> 16) & 0o170000 == 0o120000:
                 raise DataError(f"{path}: '{member.filename}' is a link; expected only files and folders")
             if wanted(name):
@@ -125,10 +131,19 @@ def _read_zip(path: Path, wanted: Wanted) -> Iterator[Entry]:
                 yield Entry(name, content)
 
 
+def _name(member: zipfile.ZipInfo) -> str:
+    """Return a member's name, which the `zip` of Linux writes as UTF-8 without saying so."""
+    try:
+        return member.filename if member.flag_bits & _UTF8 else member.filename.encode("cp437").decode()
+    except UnicodeError:
+        return member.filename
+
+
 def _read_tar(path: Path, wanted: Wanted) -> Iterator[Entry]:
     with ExitStack() as opened:
-        # Read by tarfile itself, gzip's checksum would not be looked at.
-        unpacked = opened.enter_context(gzip.open(path)) if _start(path).startswith(_GZIP) else None
+        start = _start(path)
+        unpack = next((unpack for form, unpack in _UNPACKERS.items() if start.startswith(form)), None)
+        unpacked = unpack and opened.enter_context(unpack(path))
         form = "r|*" if unpacked is None else "r|"
         archive = opened.enter_context(tarfile.open(path, form, unpacked, tarinfo=_Member))
         for member in archive:
@@ -151,7 +166,7 @@ def _read_tar(path: Path, wanted: Wanted) -> Iterator[Entry]:
 
 def _start(path: Path) -> bytes:
     with path.open("rb") as stream:
-        return stream.read(4)
+        return stream.read(5)
 
 
 def _require_small(path: Path, name: PurePosixPath, size: int) -> None:

@@ -4,6 +4,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path, PurePosixPath
 
 from tqdm import tqdm
@@ -37,6 +38,7 @@ def read_folder(path: Path, config: FolderConfig) -> Iterator[Picture]:
     split.
     """
     counts: Counter[tuple[str, str]] = Counter()
+    around: set[tuple[str, str]] = set()
     others = _Others()
     with tqdm(desc=f"reading {path.name}", unit="", disable=None) as progress:
         for name, content in read_tree(path, others.wanted):
@@ -51,13 +53,14 @@ def read_folder(path: Path, config: FolderConfig) -> Iterator[Picture]:
             if content is None and category in SPLITS:
                 continue  # the whole source may lie in a folder `test`
             counts[split, category] += 0
+            around.update(pairwise(parts[:-2]))
             if content is not None:
                 pixels = decode(content, f"{path}: {name}", config.size, config.fit)
                 counts[split, category] += 1
                 progress.update()
                 yield Picture(split, category, name.name, pixels)
     others.tell(path)
-    require_all(path, counts)
+    require_all(path, {place: count for place, count in counts.items() if count or place not in around})
 
 
 def place_of(name: PurePosixPath) -> tuple[str, str] | None:

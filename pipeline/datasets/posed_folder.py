@@ -3,6 +3,7 @@
 import csv
 import io
 import math
+import unicodedata
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
@@ -66,11 +67,10 @@ def _parse(where: str, text: str) -> Angles:
         if missing:
             raise DataError(f"{where} has no column {missing[0]}; expected {', '.join((FILE, *ANGLES))}")
         for row in rows:
-            if row[FILE] in angles:
-                raise DataError(f"{where}, line {rows.line_num}: {row[FILE]} has a row already; keep one of them")
-            angles[row[FILE]] = tuple(
-                _radians(f"{where}, line {rows.line_num}", column, row[column]) for column in ANGLES
-            )
+            name = _composed(row[FILE] or "")
+            if name in angles:
+                raise DataError(f"{where}, line {rows.line_num}: {name} has a row already; keep one of them")
+            angles[name] = tuple(_radians(f"{where}, line {rows.line_num}", column, row[column]) for column in ANGLES)
     except csv.Error as error:
         raise DataError(f"{where}, line {rows.line_num + 1} cannot be read ({error}); look for quotes") from None
     return angles
@@ -89,7 +89,13 @@ def _radians(where: str, column: str, text: str) -> float:
 
 
 def _truth(path: Path, angles: Mapping[str, tuple[float, ...]], names: Sequence[str]) -> Viewpoints:
-    unknown = [name for name in names if name not in angles]
+    composed = [_composed(name) for name in names]
+    unknown = [name for name in composed if name not in angles]
     if unknown:
         raise DataError(f"{path}: {TABLE} has no row for {unknown[0]}; every picture needs one")
-    return viewpoints_of_boxes([angles[name] for name in names])
+    return viewpoints_of_boxes([angles[name] for name in composed])
+
+
+def _composed(name: str) -> str:
+    """Return a name in one form of Unicode: file systems and tables write accents as characters of their own or not."""
+    return unicodedata.normalize("NFC", name)

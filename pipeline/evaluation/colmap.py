@@ -14,7 +14,7 @@ from torch.nn import functional
 
 from pipeline.errors import DataError, UserError
 from pipeline.evaluation.statistics import Figure, mean_figure
-from pipeline.ranges import Count, Natural, Several
+from pipeline.ranges import Count, Several
 
 PREFIX = re.compile(r"^([IWEF])\d{8} [\d:.]+ +\d+ (\S+\]) (.*)$")
 """What COLMAP's log puts before a message: level, date, time, thread; then where in its source."""
@@ -33,18 +33,20 @@ class ColmapConfig:
     """How COLMAP is tried; everything else is its default.
 
     Attributes:
-        seed: of its random sampling.
         photographs: how many, from the start of the training split; all pairs of them are matched.
         enlargement: factor on the photographs' size, bicubic; the paper names none.
     """
 
-    seed: Natural
     photographs: Several
     enlargement: Count
 
 
-def run_colmap(images: UInt8[Tensor, "N 3 H W"], config: ColmapConfig, folder: Path) -> tuple[dict[str, Any], str]:
+def run_colmap(
+    images: UInt8[Tensor, "N 3 H W"], config: ColmapConfig, seed: int, folder: Path
+) -> tuple[dict[str, Any], str]:
     """Extract SIFT features, match all pairs and map incrementally, in an empty folder; return figures and the log.
+
+    `seed` is that of its random sampling.
 
     `features` a photograph, `verified_pairs` the fraction of pairs whose matches agree on a geometry, `registered` the
     fraction of photographs that found a place in the largest model, and what COLMAP `says`: its warnings and errors.
@@ -63,10 +65,10 @@ def run_colmap(images: UInt8[Tensor, "N 3 H W"], config: ColmapConfig, folder: P
         pycolmap.Bitmap.from_array(image.numpy()).write(pictures / f"{number:05d}.png")
     extraction, matching = pycolmap.FeatureExtractionOptions(), pycolmap.FeatureMatchingOptions()
     mapping = pycolmap.IncrementalPipelineOptions()
-    mapping.random_seed = config.seed
+    mapping.random_seed = seed
     extraction.num_threads = matching.num_threads = mapping.num_threads = torch.get_num_threads()
     one_each, device = pycolmap.CameraMode.PER_IMAGE, pycolmap.Device.cpu
-    pycolmap.set_random_seed(config.seed)
+    pycolmap.set_random_seed(seed)
     with _logging_to(folder / "log", pycolmap):
         pycolmap.extract_features(
             database, pictures, camera_mode=one_each, extraction_options=extraction, device=device

@@ -12,9 +12,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from pipeline.datasets.images import to_bytes
-from pipeline.errors import ConfigError
 from pipeline.geometry.camera import CameraConfig, Pose, project, rotation_from_angles
-from pipeline.ranges import Count, Fraction, Positive
+from pipeline.ranges import Count, Fraction, Positive, TextureSize
 from pipeline.rendering.interpolate import interpolate
 from pipeline.rendering.lighting import vertex_normals
 from pipeline.rendering.rasterize import rasterize
@@ -37,8 +36,8 @@ class PaintingConfig:
 
     photograph_size: Count
     """Pixels along a side of the square photograph, of smaller ones as many as they have."""
-    texture_size: Count
-    """Texels along a side of the painted map, a power of two; of larger predicted maps as many as they have."""
+    texture_size: TextureSize
+    """Texels along a side of the painted map; of larger predicted maps as many as they have."""
     deviation: Positive
     """Of the values of each map; colours are in [0, 1]."""
     noise: Positive
@@ -49,11 +48,6 @@ class PaintingConfig:
     """Distance from the outline, relative to the picture's side, within which colours decide what is the object."""
     iterations: Count
     """Steps of conjugate gradients."""
-
-    def __post_init__(self) -> None:
-        """Raise ConfigError for a texture size that is no power of two."""
-        if self.texture_size & (self.texture_size - 1):
-            raise ConfigError(f"paint.texture_size is {self.texture_size}; expected 32, 64, 128 or so on")
 
 
 class _Seen(NamedTuple):

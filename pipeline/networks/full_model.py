@@ -16,7 +16,7 @@ from pipeline.networks.generators import ImageBackgroundGenerator, StripesGenera
 from pipeline.networks.pose_coordinates import Framing, PoseCoordinates, PoseRange
 from pipeline.networks.pose_decoder import PoseDecoder, PoseRegression
 from pipeline.networks.shapes import BaseLearningConfig, FreeFormShapes, OffsetShapes, ShapeDecoder
-from pipeline.ranges import Count, NonNegative, Positive, Rim
+from pipeline.ranges import Count, NonNegative, Positive, Rim, TextureSize
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 from pipeline.tensor_files import load_tensors, load_weights
 
@@ -60,7 +60,7 @@ class FullModelConfig:
     box_rim: Rim
     """Share of vertices whose mean is a side of an object's box in the picture, at framing `free`; at 0 the outermost
     one alone is. Tips grow on boxes that single vertices stretch (docs/decisions/full-training.md)."""
-    texture_size: Count
+    texture_size: TextureSize
     texture_channels: Count
     mirror_texture: bool
     stripes: bool

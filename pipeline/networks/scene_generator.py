@@ -21,7 +21,7 @@ from pipeline.networks.generators import (
     TextureGenerator,
 )
 from pipeline.networks.seed_choice import load_seed
-from pipeline.ranges import Count, Positive
+from pipeline.ranges import Count, Positive, TextureSize
 from pipeline.tensor_files import load_tensors, load_weights
 
 
@@ -43,7 +43,7 @@ class GeneratorConfig:
     shape_hidden: Count
     offset_scale: Positive
     texture_channels: Count
-    texture_size: Count
+    texture_size: TextureSize
     background_hidden: Count
     mirror_texture: bool
 

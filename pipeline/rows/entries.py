@@ -15,7 +15,7 @@ _SETTINGS = (
     *("evaluate", "report", "paint", "train_hologan", "evaluate_colmap"),
 )
 """Sections of stages' settings, and of painting's."""
-_SHARED = ("train_features", "learn_base_shape", "train_full")
+SHARED = ("train_features", "learn_base_shape", "train_full")
 """Stages whose work several processes can share."""
 _LEARNED = ("size", "seed", "dataset", "category", "features")
 NAMES: Mapping[str, tuple[str, ...]] = {
@@ -63,7 +63,7 @@ def require_whole_entries(path: Path) -> None:
         require_known(name, (*_TOP, *_SETTINGS, *NAMES), f"{path}: nothing reads")
     processes = scalar(path, "processes") if "processes" in names(path) else None
     for name in processes if isinstance(processes, dict) else ():
-        require_known(name, _SHARED, f"{path}: processes has no")
+        require_known(name, SHARED, f"{path}: processes has no")
     for section, values in NAMES.items():
         stages = _STAGES.get(section, ())
         for name, entry in entries(path, section).items():

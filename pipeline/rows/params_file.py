@@ -14,6 +14,7 @@ def round_trip_yaml() -> YAML:
     """Return a reader and writer of params.yaml that keeps comments, order and layout."""
     yaml = YAML()
     yaml.width = 4096  # no line is broken
+    yaml.preserve_quotes = True
     yaml.representer.add_representer(str, _represent_text)
     yaml.representer.add_representer(
         type(None), lambda representer, _: representer.represent_scalar("tag:yaml.org,2002:null", "null")

@@ -17,6 +17,7 @@ from pipeline.rows.params_file import put
 LEARNED = ("runs", "base_shapes", "hologan", "colmap")
 """Sections whose entries are learned from a category of a data set."""
 CIFAR10_SIZE = 32
+EMBEDDED = "toybox"
 
 
 def turn_on_dataset(document: CommentedMap, name: str, contents: Contents | None, size: int, framing: Framing) -> None:
@@ -26,12 +27,14 @@ def turn_on_dataset(document: CommentedMap, name: str, contents: Contents | None
     category which is learned from it, and for one whose pictures have another size or cut.
     """
     datasets = document["datasets"]
-    is_new, entry = name not in datasets, dict(datasets.get(name, {}))
+    is_new = name not in datasets
+    entry: dict[str, Any] = dict(datasets.get(name, {}))
     if contents is not None:
-        before = entry.get("kind")
-        if {before, contents.kind} == {"folder", "posed_folder"} and before in entry:
-            entry[contents.kind] = entry[before]  # a table of poses came or went: pictures stay as large
+        if {entry.get("kind"), contents.kind} == {"folder", "posed_folder"}:
+            entry[contents.kind] = _settings(document, entry)  # a table of poses came or went: pictures stay the same
         entry |= {"kind": contents.kind, "source": str(contents.path)}
+    elif is_new and name == EMBEDDED:
+        entry = {"kind": "toybox", "source": "pipeline/datasets/toybox"}
     elif is_new:
         raise ConfigError(f"no photographs of '{name}' yet; name their folder or archive with SOURCE=")
     elif "source" in entry and not Path(entry["source"]).exists():

@@ -16,14 +16,14 @@ from pipeline.networks.pose_coordinates import Framing
 from pipeline.networks.seed_choice import BY_SCORE
 from pipeline.rows.entries import NAMES, require_whole_entries, settings_of
 from pipeline.rows.params_file import put, round_trip_yaml
-from pipeline.rows.photographs import require_category, turn_on_dataset
+from pipeline.rows.photographs import EMBEDDED, require_category, turn_on_dataset
 from pipeline.training.base_shape import BaseShapeConfig
+from pipeline.training.features import FeaturesConfig
 from pipeline.training.full_trainer import FullTrainingConfig
 from pipeline.training.hologan import HoloGANTrainingConfig
 
 BASELINES = ("hologan", "colmap")
 SWITCHES = ("datasets", "features", "base_shapes", "runs", *BASELINES)
-EMBEDDED = "toybox"
 
 
 class Options(NamedTuple):
@@ -38,7 +38,7 @@ class Options(NamedTuple):
         dataset: a name for the photographs; None for the row's.
         category: the one among them; None for the row's.
         base_shape: an entry of `base_shapes` to train around; None for one that is learned from the same photographs.
-        baseline: what is measured on the same photographs instead.
+        baseline: what is measured on the photographs instead.
     """
 
     row: str
@@ -54,17 +54,18 @@ class Options(NamedTuple):
 
 
 def turn_on(path: Path, options: Options) -> str:
-    """Add the run that the options describe to the file, keeping its comments, and return the run's name.
+    """Add the run or baseline that the options describe to the file, keeping its comments, and return its name.
 
     The name leaves out what is usual: laptop size, no ablation, seed 0, the row's own photographs, a base shape of its
     own. A run whose ablation leaves base shapes as they are shares the base shape of the run without ablation.
 
     Raises ConfigError for a row, size, ablation or base shape that does not exist, for a base shape that an ablation
     would change or full training does without, for a negative seed, for an ablation that changes nothing or trains
-    less than the size, for a size at which the baseline cannot draw, for pictures that base shapes cannot be learned
-    from, for names that are not plain, for a dataset whose source is not known or gone, that lacks this
-    category or another that is learned from it, or whose pictures have another size, for features whose weights are not
-    known, and for a run, a base shape or features of that name that are on with other settings.
+    less than the size, for a size at which the baseline cannot draw, for what a baseline has no part of, for pictures
+    that base shapes cannot be learned from, for names that are not plain, for a dataset whose source is not known or
+    gone, that lacks this category or another that is learned from it, or whose pictures have another size, for features
+    whose weights are not known or not read, and for a run, a base shape, features or a baseline of that name that are
+    on with other settings.
     """
     require_whole_entries(path)
     for name in entries(path, "datasets"):
@@ -82,24 +83,19 @@ def turn_on(path: Path, options: Options) -> str:
     _require_more(path, document, options)
     _require_base_shape(path, document, options)
     size, framing = _pictures(path, options)
+    _require_parts_of_baseline(path, options, size)
     dataset, category = _turn_on_photographs(document, options, size, framing)
     _turn_on_features(path, document, dataset, options)
-    name = _turn_on_run(document, dataset, category, options)
+    subject, entry = _entry(document, dataset, category, options)
+    if options.baseline is None:
+        name = _turn_on_run(document, subject, entry, options)
+    else:
+        name = _turn_on_baseline(document, subject, entry, options.baseline)
     if path.read_text(encoding="utf-8") != text:  # an archive takes minutes to look through
         raise ConfigError(f"{path} was changed while this command was at work; run it again")
     with atomic_path(path) as temporary:
         yaml.dump(document, temporary)
     return name
-
-
-def turn_on_baseline(path: Path, baseline: str, run: str) -> None:
-    """Add the baseline beside a run that is on, with the settings of the run that it shares."""
-    yaml = round_trip_yaml()
-    document = yaml.load(path)
-    document[baseline].fa.set_block_style()
-    put(document[baseline], run, {name: document["runs"][run][name] for name in NAMES[baseline]})
-    with atomic_path(path) as temporary:
-        yaml.dump(document, temporary)
 
 
 def _settings(stage: str, options: Options) -> list[str]:
@@ -128,23 +124,50 @@ def _turn_on_features(path: Path, document: CommentedMap, dataset: str, options:
             return
         if document["sizes"][size]["train_features"].get("method") == "pretrained":
             raise ConfigError(f"size '{size}' compares pictures by a given network; name its weights with FEATURES=")
-    if weights is not None and not re.fullmatch(r"[\w./~+-]+", str(weights)):
-        raise ConfigError(f"FEATURES={str(weights)!r} becomes part of a command; give a path without spaces and quotes")
-    given = scalar(path, "weights") if weights is None else str(_existing("FEATURES", weights))
+    given = scalar(path, "weights") if weights is None else _given_weights(path, weights, options)
     entry = {"dataset": dataset, "size": size, "seed": 0, "weights": given}
     _require_same(features.get(name, entry), entry, f"features.{name}")
     put(features, name, entry)
 
 
-def _turn_on_run(document: CommentedMap, dataset: str, category: str, options: Options) -> str:
-    """Add the run, and its base shape where no other run has it; return the run's name."""
+def _given_weights(path: Path, weights: Path, options: Options) -> str:
+    """Return the path of weights that the size's way to features reads."""
+    found = str(weights.expanduser())
+    if not re.fullmatch(r"[\w./~+-]+", found):
+        raise ConfigError(f"FEATURES={found!r} becomes part of a command; give a path without spaces and quotes")
+    _existing("FEATURES", weights)
+    method = load(path, FeaturesConfig, _settings("train_features", options)).method
+    if method not in ("pretrained", "transfer"):
+        raise ConfigError(f"size '{options.size}' learns its features by {method}; leave FEATURES= out")
+    if method == "transfer" and not found.endswith(".safetensors"):
+        raise ConfigError(
+            f"FEATURES={found} is no .safetensors of a network of this pipeline, which size '{options.size}' starts "
+            "from; name one, or choose a SIZE= that takes other networks, such as laptop-imagenet"
+        )
+    return found
+
+
+def _entry(document: CommentedMap, dataset: str, category: str, options: Options) -> tuple[str, dict[str, Any]]:
+    """Return what a run is of, which its name begins with, and what it shares with its base shape and baselines."""
     row = document["rows"][options.row]
     own = (dataset, category) != (row["dataset"], row["category"])
     subject = f"{dataset}-{category}" if own else options.row
     if own and subject in document["rows"]:
         subject = f"{subject}-as-{options.row}"  # the other row's results have that name
     entry = {"row": options.row, "size": options.size, "ablation": options.ablation, "seed": options.seed}
-    entry |= {"dataset": dataset, "category": category, "features": _features_name(dataset, options)}
+    return subject, entry | {"dataset": dataset, "category": category, "features": _features_name(dataset, options)}
+
+
+def _turn_on_baseline(document: CommentedMap, subject: str, entry: Mapping[str, Any], baseline: str) -> str:
+    """Add the baseline, called as the run of the same options; return its name."""
+    document[baseline].fa.set_block_style()
+    name = _name(subject, entry)
+    _put_same(document, baseline, name, {key: entry[key] for key in NAMES[baseline]}, {})
+    return name
+
+
+def _turn_on_run(document: CommentedMap, subject: str, entry: dict[str, Any], options: Options) -> str:
+    """Add the run, and its base shape where no other run has it; return the run's name."""
     base_shape = entry | {"ablation": _of_base_shape(document, options)}
     own_base_shape = _name(subject, base_shape)
     if options.base_shape not in (None, own_base_shape):
@@ -225,8 +248,6 @@ def _pictures(path: Path, options: Options) -> tuple[int, Framing]:
             f"full training compares {size} px, no multiple of the {base.renderer.size} px that base shapes are "
             "learned from; change one of the two `renderer.size`, or name a BASE_SHAPE="
         )
-    if options.baseline == "hologan":
-        _require_that_hologan_draws(path, options, size)
     return size, base.framing
 
 
@@ -243,6 +264,19 @@ def _require_base_shape(path: Path, document: CommentedMap, options: Options) ->
             f"the base shape '{options.base_shape}' was learned with ablation '{theirs}', but this run's are learned "
             f"with '{ours}'; name another with BASE_SHAPE=, or another ABLATION="
         )
+
+
+def _require_parts_of_baseline(path: Path, options: Options, picture_size: int) -> None:
+    """Refuse what a baseline has no part of: a base shape, and ablations that leave the pictures' size as it is."""
+    if options.baseline is None:
+        return
+    if options.base_shape is not None:
+        raise ConfigError(f"{options.baseline} has no base shape; leave BASE_SHAPE= out")
+    usual = _full_training(path, options._replace(ablation="none")).model.renderer.size
+    if options.ablation != "none" and usual == picture_size:
+        raise ConfigError(f"{options.baseline} has nothing that '{options.ablation}' changes; leave ABLATION= out")
+    if options.baseline == "hologan":
+        _require_that_hologan_draws(path, options, picture_size)
 
 
 def _require_that_hologan_draws(path: Path, options: Options, picture_size: int) -> None:

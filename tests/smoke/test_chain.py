@@ -15,7 +15,7 @@ from PIL import Image
 
 from pipeline.files import read_json, sha256
 from pipeline.networks.seed_choice import load_seed
-from pipeline.rows.turn_on import Options, turn_on, turn_on_baseline
+from pipeline.rows.turn_on import Options, turn_on
 from pipeline.tensor_files import load_tensors
 from tests.smoke.tiny_project import commands, environment, make_tiny_project, read_params, run, write_params
 
@@ -38,7 +38,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Run `dvc repro` once, from nothing to the report, with a baseline beside it."""
     folder = tmp_path_factory.mktemp("project")
     make_tiny_project(folder)
-    turn_on_baseline(folder / "params.yaml", "hologan", "toybox-car")
+    turn_on(folder / "params.yaml", Options("toybox-car", baseline="hologan"))
     run(folder, "dvc", "repro")
     return folder
 

@@ -23,7 +23,16 @@ COUNT = 6
 
 def _evaluate(pictures: np.ndarray, folder: Path) -> tuple[dict[str, Any], str]:
     np.save(folder / "pictures.npy", pictures)
-    words = ["--params", "params.yaml", "--sections", "evaluate_colmap", "--images", str(folder / "pictures.npy")]
+    words = [
+        "--params",
+        "params.yaml",
+        "--sections",
+        "evaluate_colmap",
+        "--images",
+        str(folder / "pictures.npy"),
+        "--seed",
+        "0",
+    ]
     words += ["--out", str(folder / "metrics.json"), "--log", str(folder / "log.txt")]
     printed = run(ROOT, sys.executable, "-m", "stages.evaluate_colmap", *words)
     figures = read_json(folder / "metrics.json")["colmap"]
@@ -60,4 +69,4 @@ def test_pictures_of_one_scene_match(tmp_path: Path) -> None:
 def test_one_photograph_has_no_pair(tmp_path: Path) -> None:
     one = torch.zeros(1, 3, 32, 32, dtype=torch.uint8)
     with pytest.raises(DataError, match="there is only one"):
-        run_colmap(one, ColmapConfig(seed=0, photographs=200, enlargement=1), tmp_path)
+        run_colmap(one, ColmapConfig(photographs=200, enlargement=1), 0, tmp_path)

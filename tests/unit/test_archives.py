@@ -1,5 +1,8 @@
 """Folders and archives are read alike, and nothing outside of them is reachable."""
 
+import bz2
+import gzip
+import lzma
 import tracemalloc
 import zipfile
 from collections.abc import Callable
@@ -24,6 +27,30 @@ def test_every_form_holds_the_same(tmp_path: Path) -> None:
     assert contents(write_zip(tmp_path / "pictures.zip", files)) == files
     for ending in ("tar", "tar.gz", "tar.xz", "tar.bz2"):
         assert contents(write_tar(tmp_path / f"pictures.{ending}", files)) == files
+
+
+@pytest.mark.parametrize("compress", [gzip.compress, bz2.compress, lzma.compress])
+def test_a_tar_may_be_packed_in_several_streams(tmp_path: Path, compress: Callable[[bytes], bytes]) -> None:
+    whole = write_tar(tmp_path / "whole.tar", tree()).read_bytes()
+    streams = [compress(whole[start : start + 5000]) for start in range(0, len(whole), 5000)]
+    (tmp_path / "packed").write_bytes(b"".join(streams))
+    assert contents(tmp_path / "packed") == tree()
+    (tmp_path / "packed").write_bytes(b"".join(streams[:2]))
+    with pytest.raises(DataError, match="packed is not a complete tar or zip archive"):
+        contents(tmp_path / "packed")
+
+
+def test_names_in_a_zip_may_be_utf8_without_a_word_of_it(tmp_path: Path) -> None:
+    content = write_zip(tmp_path / "pictures.zip", {"train/bateau/été.jpg": b"x"}).read_bytes()
+    for start, flags in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):
+        place = content.index(start) + flags
+        assert content[place + 1] & 8
+        content = content[: place + 1] + b"\0" + content[place + 2 :]  # as Info-ZIP writes them
+    (tmp_path / "linux.zip").write_bytes(content)
+    assert contents(tmp_path / "linux.zip") == {"train/bateau/été.jpg": b"x"}
+    dos = content.replace("été".encode(), "été".encode("cp437") + b"12")
+    (tmp_path / "dos.zip").write_bytes(dos)
+    assert contents(tmp_path / "dos.zip") == {"train/bateau/été12.jpg": b"x"}
 
 
 @pytest.mark.parametrize("write", [write_folder, write_tar])

@@ -98,6 +98,15 @@ def test_numbers_are_those_of_newer_yaml_which_dvc_writes(tmp_path: Path, number
     assert scalar(path, "names") == {"1e5-cart": "1e5", "other": "1e5x"}
 
 
+@pytest.mark.parametrize(
+    ("written", "means"),
+    [("01200", 1200), ("-07", -7), ("+3", 3), ("0o17", 15), ("0x1F", 31), ("1:04", "1:04"), ("1_0", "1_0")],
+)
+def test_whole_numbers_are_those_of_newer_yaml_too(tmp_path: Path, written: str, means: object) -> None:
+    (tmp_path / "params.yaml").write_text(f"count: {written}")
+    assert scalar(tmp_path / "params.yaml", "count") == means
+
+
 def test_later_sections_replace_only_what_they_name(params: Path) -> None:
     config = load(params, Stage, ["stage", "sizes.laptop.stage", "sizes.other.stage"])
     assert config.iterations == 2

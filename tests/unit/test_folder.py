@@ -69,6 +69,12 @@ def test_an_outer_folder_may_be_called_as_a_split(
     assert len(list(read_folder(source, CONFIG))) == len(files)
 
 
+def test_a_folder_between_two_splits_is_no_category(tmp_path: Path) -> None:
+    files = {f"test/photographs.d/{name}": content for name, content in tree().items()}
+    pictures = list(read_folder(write_folder(tmp_path, files), CONFIG))
+    assert {picture.category for picture in pictures} == {"car", "horse"}
+
+
 def test_a_category_may_be_called_as_a_split(tmp_path: Path) -> None:
     files = {f"{split}/train/{number}.jpg": noise(number) for split in ("train", "test") for number in (1, 2)}
     pictures = read_folder(write_folder(tmp_path, files), CONFIG)

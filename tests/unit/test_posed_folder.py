@@ -49,6 +49,15 @@ def test_lines_may_end_as_on_any_system(tmp_path: Path) -> None:
         np.testing.assert_array_equal(truth.azimuth, truths[0].azimuth)
 
 
+def test_accents_may_be_written_in_two_ways(tmp_path: Path) -> None:
+    composed, decomposed = "train/car/\u00e9t\u00e9.jpg", "train/car/e\u0301te\u0301.jpg"
+    for name, other in ((composed, decomposed), (decomposed, composed)):
+        rows = f"{HEADER}\ntrain,{other},30,0,0"
+        source = write_folder(tmp_path / str(len(name)), {name: b"", "poses.csv": rows.encode()})
+        truth = read_viewpoints(source, {"train": {"car": [name.removeprefix("train/car/")]}})["train"]["car"]
+        np.testing.assert_allclose(np.degrees(truth.azimuth), [30])
+
+
 def test_one_table_counts_and_hidden_ones_do_not(tmp_path: Path) -> None:
     names = {"train": {"car": ["1.jpg", "2.jpg"]}}
     files = tree(**{"poses.csv": table(), ".old/poses.csv": b"old", "train/._poses.csv": b""})

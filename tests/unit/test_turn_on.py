@@ -1,5 +1,6 @@
 """Rows are turned on without disturbing the parameter file."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ from pipeline.datasets.prepare import PrepareConfig
 from pipeline.datasets.survey import Contents, survey
 from pipeline.errors import ConfigError, UserError
 from pipeline.rows.params_file import round_trip_yaml
-from pipeline.rows.turn_on import Options, turn_on, turn_on_baseline
+from pipeline.rows.turn_on import Options, turn_on
 from stages.settings import require_settings
 from tests.fresh_params import write_fresh_params
 from tests.pascal3d_tree import release
@@ -35,11 +36,15 @@ def params(tmp_path: Path) -> Path:
     return write_fresh_params(tmp_path / "params.yaml")
 
 
+def empty_pictures(*categories: str) -> dict[str, bytes]:
+    return {f"{split}/{category}/1.jpg": b"" for split in ("train", "test") for category in categories}
+
+
 @pytest.fixture
 def photographs(tmp_path: Path) -> Path:
     """Name pictures of some categories; turning a run on does not read them."""
     categories = ("bus", "car", "cart", "cat", "cat-seed1", "old-car", "stall", "van")
-    return write_folder(tmp_path / "photographs", {f"train/{category}/1.jpg": b"" for category in categories})
+    return write_folder(tmp_path / "photographs", empty_pictures(*categories))
 
 
 def test_the_project_s_own_file_keeps_its_layout(tmp_path: Path) -> None:
@@ -136,7 +141,7 @@ def test_sharper_textures_want_larger_pictures(params: Path, photographs: Path) 
 
 
 def test_base_shapes_are_learned_from_pictures_that_they_divide(params: Path, photographs: Path) -> None:
-    params.write_text(params.read_text().replace("size: 64", "size: 48"))
+    params.write_text(re.sub(r"\bsize: 64", "size: 48", params.read_text()))
     sharper = Options("pascal-car", ablation="sharper", dataset="cars", category="car", source=photographs)
     with pytest.raises(ConfigError, match="compares 48 px, no multiple of the 32 px that base shapes are learned from"):
         turn_on(params, sharper)
@@ -260,7 +265,7 @@ def test_a_base_shape_is_shared_where_the_ablation_leaves_it(params: Path, ablat
 @pytest.mark.parametrize("baseline", ["hologan", "colmap"])
 def test_a_baseline_shares_the_settings_of_its_run(params: Path, baseline: str) -> None:
     name = turn_on(params, Options("toybox-car", seed=1))
-    turn_on_baseline(params, baseline, name)
+    assert turn_on(params, Options("toybox-car", seed=1, baseline=baseline)) == name
     document = YAML(typ="safe").load(params)
     assert list(document[baseline]) == ["toybox-car-seed1"]
     run, entry = document["runs"][name], document[baseline][name]
@@ -270,15 +275,34 @@ def test_a_baseline_shares_the_settings_of_its_run(params: Path, baseline: str) 
 
 def test_a_baseline_can_be_turned_on_again(params: Path) -> None:
     params.write_text(params.read_text().replace("\nhologan: {}", "\nhologan:"))  # its only entry was deleted
-    name = turn_on(params, Options("toybox-car", seed=1))
-    turn_on_baseline(params, "hologan", name)
+    turn_on(params, Options("toybox-car", seed=1, baseline="hologan"))
     assert list(YAML(typ="safe").load(params)["hologan"]) == ["toybox-car-seed1"]
+
+
+@pytest.mark.parametrize("baseline", ["hologan", "colmap"])
+def test_a_baseline_turns_no_run_on(params: Path, photographs: Path, baseline: str) -> None:
+    before = YAML(typ="safe").load(params)
+    options = Options("toybox-car", dataset="mine", category="van", source=photographs, baseline=baseline)
+    assert turn_on(params, options) == "mine-van"
+    document = YAML(typ="safe").load(params)
+    assert list(document[baseline]) == ["mine-van"]
+    assert (document["runs"], document["base_shapes"]) == (before["runs"], before["base_shapes"])
+    assert document[baseline]["mine-van"]["features"] in document["features"]
+
+
+def test_the_embedded_data_set_comes_back(params: Path) -> None:
+    document = YAML(typ="safe").load(params)
+    known = document["datasets"]["toybox"]
+    YAML().dump(document | dict.fromkeys(("datasets", "features", "base_shapes", "runs")), params)
+    assert turn_on(params, Options("toybox-car")) == "toybox-car"
+    assert YAML(typ="safe").load(params)["datasets"] == {"toybox": known}
 
 
 def test_a_category_that_is_on_is_not_looked_for_again(params: Path, photographs: Path) -> None:
     cart = Options("cifar10-automobile", dataset="market", category="cart")
     turn_on(params, cart._replace(source=photographs))
-    (photographs / "train/cart/1.jpg").unlink()
+    for split in ("train", "test"):
+        (photographs / split / "cart/1.jpg").unlink()
     assert turn_on(params, cart._replace(seed=1)) == "market-cart-seed1"
     turn_on(params, cart._replace(category="stall"))
     with pytest.raises(ConfigError, match="'market' has no category 'stalls'; did you mean 'stall'"):
@@ -312,7 +336,7 @@ def test_longer_training_is_no_shorter(params: Path) -> None:
 
 @pytest.mark.parametrize("name", ["on", "No", "null", "2026", "1_0", "true"])
 def test_names_stay_names(params: Path, tmp_path: Path, name: str) -> None:
-    source = write_folder(tmp_path / "photographs", {f"train/{name}/1.jpg": b""})
+    source = write_folder(tmp_path / "photographs", empty_pictures(name))
     turn_on(params, Options("cifar10-automobile", dataset=name, category=name, source=source))
     config = load(params, PrepareConfig, ["prepare_data", f"datasets.{name}"])
     assert (config.kind, config.source) == ("folder", str(source))
@@ -351,6 +375,13 @@ def test_what_is_no_parameter_file_is_said(params: Path) -> None:
         (
             Options("toybox-car", size="paper-imagenet", features=ROOT / "params.yaml", baseline="hologan"),
             "HoloGAN draws 32 px at size 'paper-imagenet', but this run's pictures have 128 px; choose another SIZE=",
+        ),
+        (Options("toybox-car", baseline="colmap", ablation="no-ends"), "colmap has nothing that 'no-ends' changes"),
+        (Options("toybox-car", baseline="hologan", base_shape="toybox-car"), "hologan has no base shape; leave"),
+        (Options("toybox-horse", size="paper", features=ROOT / "params.yaml"), "learns its features by classification"),
+        (
+            Options("toybox-car", seed=1, features=ROOT / "params.yaml"),
+            r"is no \.safetensors of a network",
         ),
         (Options("toybox-car", seed=-1), "SEED is -1; expected 0 or a greater number"),
         (Options("pascal-chair"), "no photographs of 'pascal3d' yet"),
@@ -485,6 +516,11 @@ def test_a_category_that_the_photographs_have_not_changes_nothing(
     [
         ("voxel_resolution: 32", "voxel_resolutions: 32", "did you mean"),
         ("score_batches: 32", "score_batches: 0", "learn_base_shape.score_batches"),
+        ("texture_size: 64", "texture_size: 48", "texture_size' is 48; expected a whole number, a power of two from 4"),
+        ("device: auto", "device: gpu", "device is 'gpu'; expected auto, cpu or cuda"),
+        ("precision: auto", "precision: float16", "precision is 'float16'; expected auto, float32 or bfloat16"),
+        ("memory: 8", "memory: -8", "memory is -8; expected a number of GiB above 0"),
+        ("train_full: auto", "train_full: 0", "processes of a stage are 0; expected auto or a whole number from 1"),
     ],
 )
 def test_settings_of_late_stages_are_looked_at_early(params: Path, old: str, new: str, message: str) -> None:
