@@ -9,6 +9,9 @@ from ruamel.yaml.representer import RoundTripRepresenter
 from yaml.nodes import ScalarNode
 from yaml.resolver import Resolver
 
+_ABOVE_KEY, _ABOVE_VALUE = 1, 3
+"""Where ruamel.yaml keeps the comment lines above a key, and those between a key and the lines of its value."""
+
 
 def round_trip_yaml() -> YAML:
     """Return a reader and writer of params.yaml that keeps comments, order and layout."""
@@ -22,12 +25,20 @@ def round_trip_yaml() -> YAML:
     return yaml
 
 
-def put(entries: CommentedMap, name: str, entry: dict[str, Any]) -> None:
-    """Replace an entry, or put it first: the comment that follows a section belongs to the section's last line."""
+def put(document: CommentedMap, section: str, name: str, entry: dict[str, Any]) -> None:
+    """Replace an entry, or put it first: the comment that follows a section belongs to the section's last line.
+
+    What stands above the entry that was first stays above it.
+    """
+    entries = document[section]
     if name in entries:
         entries[name].update(entry)
-    else:
-        entries.insert(0, name, entry)
+        return
+    above = document.ca.items.get(section)
+    if entries and above and above[_ABOVE_VALUE]:
+        entries.ca.items.setdefault(next(iter(entries)), [None] * 4)[_ABOVE_KEY] = above[_ABOVE_VALUE]
+        above[_ABOVE_VALUE] = None
+    entries.insert(0, name, entry)
 
 
 def _represent_text(representer: RoundTripRepresenter, text: str) -> RoundTripNode:

@@ -59,7 +59,7 @@ def turn_on_dataset(document: CommentedMap, name: str, contents: Contents | None
         if kind == "cifar10":
             remedy = "CIFAR-10 has no others: leave SIZE= or ABLATION= out, or name other photographs"
         raise ConfigError(f"pictures of '{name}' are {found} px, but this run compares {size} px; {remedy}")
-    put(datasets, name, entry)
+    put(document, "datasets", name, entry)
 
 
 def _require_what_is_learned(

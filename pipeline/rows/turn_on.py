@@ -127,7 +127,7 @@ def _turn_on_features(path: Path, document: CommentedMap, dataset: str, options:
     given = scalar(path, "weights") if weights is None else _given_weights(path, weights, options)
     entry = {"dataset": dataset, "size": size, "seed": 0, "weights": given}
     _require_same(features.get(name, entry), entry, f"features.{name}")
-    put(features, name, entry)
+    put(document, "features", name, entry)
 
 
 def _given_weights(path: Path, weights: Path, options: Options) -> str:
@@ -185,7 +185,7 @@ def _put_same(
     """Add an entry, with additions where it is new."""
     known = document[section].get(name, {**entry, **additions})
     _require_same(known, entry, f"{section}.{name}")
-    put(document[section], name, known)
+    put(document, section, name, known)
 
 
 def _of_base_shape(document: CommentedMap, options: Options) -> str:

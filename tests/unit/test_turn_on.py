@@ -53,6 +53,15 @@ def test_the_project_s_own_file_keeps_its_layout(tmp_path: Path) -> None:
     assert (tmp_path / "params.yaml").read_text() == (ROOT / "params.yaml").read_text()
 
 
+def test_what_people_write_stays_where_it_is(params: Path) -> None:
+    ours = "# the paper's run\n  # stays as it is\n  toybox-car:\n    row: 'toybox-car'  # quoted\n"
+    params.write_text(params.read_text().replace("\nruns:\n  toybox-car:\n    row: toybox-car\n", f"\nruns:\n  {ours}"))
+    assert ours in params.read_text()
+    turn_on(params, Options("toybox-horse"))
+    assert list(YAML(typ="safe").load(params)["runs"]) == ["toybox-horse", "toybox-car"]
+    assert ours in params.read_text()
+
+
 def test_what_is_on_stays_as_it_is(params: Path) -> None:
     before = params.read_bytes()
     assert turn_on(params, Options("toybox-car")) == "toybox-car"
