@@ -22,7 +22,7 @@ from pipeline.cli.workers import workers
 from pipeline.config import load, scalar
 from pipeline.datasets.archives import is_hidden
 from pipeline.datasets.decoding import Fit, reading
-from pipeline.datasets.prepare import PrepareConfig
+from pipeline.datasets.prepare import load_prepare
 from pipeline.device import resolve_precision
 from pipeline.errors import DataError
 from pipeline.export.animation import encoder
@@ -128,7 +128,7 @@ def _load_settings(run: Run) -> Settings:
     return Settings(
         replace(load(run.params, FineTuneConfig, ["fine_tune", f"sizes.{run.size}.fine_tune"]), photographs=None),
         load(run.params, PaintingConfig, ["paint"]),
-        load(run.params, PrepareConfig, ["prepare_data", f"datasets.{run.dataset}"]).fit,
+        load_prepare(run.params, run.dataset).fit,
         load(run.params, ReportConfig, ["report"]),
     )
 

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from ruamel.yaml.comments import CommentedMap
 
 from pipeline.config import entries, is_plain, load, require_known, scalar
-from pipeline.datasets.prepare import PrepareConfig
+from pipeline.datasets.prepare import load_prepare
 from pipeline.datasets.survey import survey
 from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
@@ -69,9 +69,7 @@ def turn_on(path: Path, options: Options) -> str:
     """
     require_whole_entries(path)
     for name in entries(path, "datasets"):
-        for key in ("kind", "source"):
-            scalar(path, f"datasets.{name}.{key}")
-        load(path, PrepareConfig, ["prepare_data", f"datasets.{name}"])
+        load_prepare(path, name)
     yaml, text = round_trip_yaml(), path.read_text(encoding="utf-8")
     document = yaml.load(text)
     for section in SWITCHES:

@@ -39,7 +39,8 @@ def prepare(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Pa
         params: dict[str, object] = {entries: {} for entries in NAMES}
         params |= {"prepare_data": section, "datasets": {"mine": {"kind": kind, "source": str(source), **changes}}}
         (tmp_path / "params.yaml").write_text(yaml.safe_dump(params), encoding="utf-8")
-        arguments = ["--params", str(tmp_path / "params.yaml"), "--sections", "prepare_data", "datasets.mine"]
+        arguments = ["--params", str(tmp_path / "params.yaml"), "--sections", f"prepare_data.{kind}"]
+        arguments += ["datasets.mine", "--dataset", "mine"]
         outputs = ["--out", str(out / "prepared"), "--truth", str(out / "truth")]
         monkeypatch.setattr(sys, "argv", ["prepare_data", *arguments, *outputs])
         run(prepare_data.main)

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 from ruamel.yaml import YAML
 
-from pipeline.config import entries, load
-from pipeline.datasets.prepare import PrepareConfig
+from pipeline.config import entries
+from pipeline.datasets.prepare import load_prepare
 from pipeline.datasets.survey import Contents, survey
 from pipeline.errors import ConfigError, UserError
 from pipeline.rows.params_file import round_trip_yaml
@@ -347,8 +347,8 @@ def test_longer_training_is_no_shorter(params: Path) -> None:
 def test_names_stay_names(params: Path, tmp_path: Path, name: str) -> None:
     source = write_folder(tmp_path / "photographs", empty_pictures(name))
     turn_on(params, Options("cifar10-automobile", dataset=name, category=name, source=source))
-    config = load(params, PrepareConfig, ["prepare_data", f"datasets.{name}"])
-    assert (config.kind, config.source) == ("folder", str(source))
+    config = load_prepare(params, name)
+    assert (config.kind, config.source) == ("folder", source)
     assert entries(params, "runs")[f"{name}-{name}"]["category"] == name
 
 
@@ -453,6 +453,13 @@ def test_a_wrong_name_changes_nothing(params: Path, options: Options, words: str
         ("presicion", "float32", "nothing reads 'presicion'; did you mean 'precision'"),
         ("datasets", {"mine": {"source": "photographs"}}, "has no 'datasets.mine.kind'"),
         ("datasets", {"mine": {"kind": "foldr", "source": "photographs"}}, "'foldr'.*folder"),
+        (
+            "datasets",
+            {"mine": {"kind": ["folder"], "source": "photographs"}},
+            r"datasets\.mine\.kind is '\['folder'\]'",
+        ),
+        ("datasets", {"mine": {"kind": "folder", "source": 3}}, r"'datasets\.mine\.source' must be text, not 3"),
+        ("datasets", {"mine": {"kind": "folder", "source": "x", "size": 3}}, r"datasets\.mine has no 'size'; expected"),
     ],
 )
 def test_entries_written_by_hand_are_whole(params: Path, section: str, entry: object, message: str) -> None:
@@ -526,6 +533,16 @@ def test_a_category_that_the_photographs_have_not_changes_nothing(
         ("voxel_resolution: 32", "voxel_resolutions: 32", "did you mean"),
         ("score_batches: 32", "score_batches: 0", "learn_base_shape.score_batches"),
         ("texture_size: 64", "texture_size: 48", "texture_size' is 48; expected a whole number, a power of two from 4"),
+        (
+            "  folder: {size: 32, fit: crop}",
+            "  folder: {sise: 32, fit: crop}",
+            "prepare_data.folder.sise'; did you mean",
+        ),
+        (
+            "  folder: {size: 32, fit: crop}",
+            "  foldr: {size: 32, fit: crop}",
+            "prepare_data has no 'foldr'; did you mean",
+        ),
         ("device: auto", "device: gpu", "device is 'gpu'; expected auto, cpu or cuda"),
         ("precision: auto", "precision: float16", "precision is 'float16'; expected auto, float32 or bfloat16"),
         ("memory: 8", "memory: -8", "memory is -8; expected a number of GiB above 0"),
