@@ -30,7 +30,7 @@ class _Leaf:
 class _Loader(yaml.SafeLoader):
     """Read YAML, but refuse a key that stands twice in a section, of which others take the last one.
 
-    Numbers are those of YAML 1.2, which DVC reads and writes: 5e-05 is one, 0100 is 100 and 1:30 is text.
+    Numbers are those that DVC reads and writes: 5e-05 is one, 0100 is 100 and 1:30 is text.
     """
 
     yaml_implicit_resolvers: ClassVar = {
@@ -51,15 +51,22 @@ class _Loader(yaml.SafeLoader):
 
 _Loader.add_implicit_resolver(
     "tag:yaml.org,2002:float",
-    re.compile(r"[-+]?(\d+\.\d*|\.\d+|(\d+\.?\d*|\.\d+)[eE][-+]?\d+|\.(inf|Inf|INF))$|\.(nan|NaN|NAN)$"),
+    re.compile(
+        r"[-+]?([0-9][0-9_]*\.[0-9_]*|\.[0-9][0-9_]*|([0-9][0-9_]*\.?[0-9_]*|\.[0-9]+)[eE][-+]?[0-9]+|\.(inf|Inf|INF))$"
+        r"|\.(nan|NaN|NAN)$"
+    ),
     list("-+.0123456789"),
 )
 _Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:int", re.compile(r"[-+]?\d+$|0o[0-7]+$|0x[\da-fA-F]+$"), list("-+0123456789")
+    "tag:yaml.org,2002:int",
+    re.compile(r"[-+]?([0-9][0-9_]*|0b[01_]+|0o[0-7_]+|0x[0-9a-fA-F_]+)$"),
+    list("-+0123456789"),
 )
-_Loader.add_constructor(
-    "tag:yaml.org,2002:int", lambda _, node: int(node.value, 0 if node.value[:2] in ("0o", "0x") else 10)
-)
+_Loader.add_constructor("tag:yaml.org,2002:int", lambda _, node: _whole_number(node.value.replace("_", "")))
+
+
+def _whole_number(text: str) -> int:
+    return int(text, 0 if text.lstrip("-+")[:2] in ("0b", "0o", "0x") else 10)
 
 
 def load(path: Path, config_class: type[Config], sections: Sequence[str]) -> Config:
@@ -252,7 +259,7 @@ def is_plain(name: str) -> bool:
 def require_known(name: str, known: Collection[str], lack: str) -> None:
     """Raise ConfigError where a name is none of those known; `lack` begins its sentence."""
     if name not in known:
-        raise ConfigError(f"{lack} '{name}'{nearest(name, known)}")
+        raise ConfigError(f"{lack} '{name}'{nearest(str(name), known)}")
 
 
 def _describe(hint: Any) -> str:

@@ -4,6 +4,7 @@ import errno
 import fcntl
 import hashlib
 import json
+import os
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -47,12 +48,15 @@ def alone(path: Path) -> Iterator[None]:
     with lock.open("w") as stream:
         try:
             fcntl.flock(stream, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            is_free = lock.exists() and os.path.samestat(os.fstat(stream.fileno()), lock.stat())  # else just removed
         except BlockingIOError:
-            raise DataError(f"another process is writing {path}; wait for it, or name another path") from None
+            is_free = False
+        if not is_free:
+            raise DataError(f"another process is writing {path}; wait for it, or name another path")
         try:
             yield
         finally:
-            lock.unlink()
+            lock.unlink(missing_ok=True)
 
 
 def write_json(path: Path, value: Any) -> None:

@@ -3,8 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from pipeline.config import entries, load, require_known, scalar
-from pipeline.datasets.prepare import KINDS
+from pipeline.config import load, scalar
 from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.evaluation.evaluate import EvaluateConfig
 from pipeline.export.report import ReportConfig
@@ -37,8 +36,5 @@ def require_settings(params: Path, row: str, size: str, ablation: str) -> None:
     resolve_memory(scalar(params, "memory"))
     for stage in SHARED:
         resolve_processes(scalar(params, f"processes.{stage}"), device, parts=1)
-    for kind in entries(params, "prepare_data"):
-        require_known(kind, KINDS, f"{params}: prepare_data has no")
-        load(params, KINDS[kind], [f"prepare_data.{kind}"])
     for stage, config in CONFIGS.items():
         load(params, config, settings_of(stage, row, size, ablation))

@@ -60,7 +60,6 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
     _require_absent(out)
     found, originals, left_out = find_photographs(folder), {}, []
     with alone(out), atomic_path(out) as temporary:
-        _require_absent(out)
         for path in tqdm(found, "arranging", disable=None):
             split = "train" if len(originals) % TEST_EVERY else "test"
             try:

@@ -39,6 +39,6 @@ def benchmark(predictions: Path, project: Path, dataset: str, category: str, out
 def _require_writable(out: Path) -> None:
     if out.suffix != ".json" or out.is_dir():
         raise DataError(f"{out} cannot be written; name a file that ends in .json")
-    out.parent.mkdir(parents=True, exist_ok=True)
-    if not os.access(out.parent, os.W_OK):
-        raise DataError(f"{out} cannot be written; look at the permissions of {out.parent}, or name another folder")
+    folder = next(path for path in out.absolute().parents if path.exists())
+    if not (folder.is_dir() and os.access(folder, os.W_OK)):
+        raise DataError(f"{out} cannot be written; look at {folder}, or name a file in another folder")

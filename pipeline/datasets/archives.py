@@ -29,7 +29,11 @@ DAMAGE = (
 
 _ZIP = (b"PK\x03\x04", b"PK\x05\x06")
 """How zips begin."""
-_UNPACKERS = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ": lzma.open}
+_UNPACKERS = {
+    rb"\x1f\x8b": gzip.open,
+    rb"BZh[1-9](1AY&SY|\x17rE8P\x90)": bz2.open,
+    rb"\xfd7zXZ\0": lzma.open,
+}
 """What unpacks a packed tar, by how it begins. tarfile itself would read the first of several streams alone, and
 not look at gzip's checksum."""
 _UTF8 = 0x800
@@ -116,16 +120,16 @@ def _read_zip(path: Path, wanted: Wanted) -> Iterator[Entry]:
         for member in archive.infolist():
             name = _inside(path, _name(member))
             if (member.external_attr >> 16) & 0o170000 == 0o120000:
-                raise DataError(f"{path}: '{member.filename}' is a link; expected only files and folders")
+                raise DataError(f"{path}: '{name}' is a link; expected only files and folders")
             if wanted(name):
                 _require_small(path, name, member.file_size)
                 if member.flag_bits & _ENCRYPTED:
-                    raise DataError(f"{path}: '{member.filename}' is encrypted; unpack the archive and name the folder")
+                    raise DataError(f"{path}: '{name}' is encrypted; unpack the archive and name the folder")
                 try:
                     content = None if member.is_dir() else archive.read(member)
                 except NotImplementedError:
                     raise DataError(
-                        f"{path}: '{member.filename}' is packed in a way that cannot be read; unpack the archive and "
+                        f"{path}: '{name}' is packed in a way that cannot be read; unpack the archive and "
                         "name the folder"
                     ) from None
                 yield Entry(name, content)
@@ -142,7 +146,7 @@ def _name(member: zipfile.ZipInfo) -> str:
 def _read_tar(path: Path, wanted: Wanted) -> Iterator[Entry]:
     with ExitStack() as opened:
         start = _start(path)
-        unpack = next((unpack for form, unpack in _UNPACKERS.items() if start.startswith(form)), None)
+        unpack = next((unpack for form, unpack in _UNPACKERS.items() if re.match(form, start)), None)
         unpacked = unpack and opened.enter_context(unpack(path))
         form = "r|*" if unpacked is None else "r|"
         archive = opened.enter_context(tarfile.open(path, form, unpacked, tarinfo=_Member))
@@ -166,7 +170,7 @@ def _read_tar(path: Path, wanted: Wanted) -> Iterator[Entry]:
 
 def _start(path: Path) -> bytes:
     with path.open("rb") as stream:
-        return stream.read(5)
+        return stream.read(10)
 
 
 def _require_small(path: Path, name: PurePosixPath, size: int) -> None:

@@ -28,7 +28,7 @@ def round_trip_yaml() -> YAML:
 def put(document: CommentedMap, section: str, name: str, entry: dict[str, Any]) -> None:
     """Replace an entry, or put it first: the comment that follows a section belongs to the section's last line.
 
-    What stands above the entry that was first stays above it.
+    What stands above the entry that was first stays above it, unless the section's own line ends in a comment.
     """
     entries = document[section]
     if name in entries:
@@ -42,6 +42,6 @@ def put(document: CommentedMap, section: str, name: str, entry: dict[str, Any]) 
 
 
 def _represent_text(representer: RoundTripRepresenter, text: str) -> RoundTripNode:
-    """Quote what YAML 1.1, which `pipeline.config` reads, takes for something else than text, such as `on`."""
+    """Quote what YAML 1.1, whose words `pipeline.config` reads, takes for something else than text, such as `on`."""
     tag = Resolver().resolve(ScalarNode, text, (True, False))
     return representer.represent_scalar("tag:yaml.org,2002:str", text, style=None if tag.endswith(":str") else "'")

@@ -81,7 +81,7 @@ def require_category(document: CommentedMap, dataset: str, category: str, conten
 
     One that is on is not looked for again: archives take a while.
     """
-    on = {(run["dataset"], run["category"]) for run in document["runs"].values()}
+    on = {(entry["dataset"], entry["category"]) for section in LEARNED for entry in document[section].values()}
     if contents is None and (dataset, category) in on:
         return
     known = _categories(document, document["datasets"][dataset], contents)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 from ruamel.yaml.comments import CommentedMap
 
 from pipeline.config import entries, is_plain, load, require_known, scalar
-from pipeline.datasets.prepare import load_prepare
+from pipeline.datasets.prepare import KINDS, load_prepare
 from pipeline.datasets.survey import survey
 from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
@@ -68,8 +68,7 @@ def turn_on(path: Path, options: Options) -> str:
     on with other settings.
     """
     require_whole_entries(path)
-    for name in entries(path, "datasets"):
-        load_prepare(path, name)
+    _require_whole_datasets(path)
     yaml, text = round_trip_yaml(), path.read_text(encoding="utf-8")
     document = yaml.load(text)
     for section in SWITCHES:
@@ -94,6 +93,16 @@ def turn_on(path: Path, options: Options) -> str:
     with atomic_path(path) as temporary:
         yaml.dump(document, temporary)
     return name
+
+
+def _require_whole_datasets(path: Path) -> None:
+    """Look at the settings of all kinds of data sets, of which a stage reads those of one, and at those that are on."""
+    for kind in entries(path, "prepare_data"):
+        require_known(kind, KINDS, f"{path}: prepare_data has no")
+    for kind, config in KINDS.items():
+        load(path, config, [f"prepare_data.{kind}"])
+    for name in entries(path, "datasets"):
+        load_prepare(path, name)
 
 
 def _settings(stage: str, options: Options) -> list[str]:
@@ -241,7 +250,7 @@ def _pictures(path: Path, options: Options) -> tuple[int, Framing]:
     """Return the size of a run's pictures, at which every part of it can work, and how objects are framed in them."""
     base = load(path, BaseShapeConfig, _settings("learn_base_shape", options))
     size = _full_training(path, options).model.renderer.size
-    if size % base.renderer.size and options.base_shape is None:
+    if size % base.renderer.size and options.base_shape is None and options.baseline is None:
         raise ConfigError(
             f"full training compares {size} px, no multiple of the {base.renderer.size} px that base shapes are "
             "learned from; change one of the two `renderer.size`, or name a BASE_SHAPE="

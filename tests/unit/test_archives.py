@@ -48,6 +48,8 @@ def test_names_in_a_zip_may_be_utf8_without_a_word_of_it(tmp_path: Path) -> None
         content = content[: place + 1] + b"\0" + content[place + 2 :]  # as Info-ZIP writes them
     (tmp_path / "linux.zip").write_bytes(content)
     assert contents(tmp_path / "linux.zip") == {"train/bateau/été.jpg": b"x"}
+    flagged = {"train/bateau/├⌐.jpg": b"x"}  # which would be another name without the flag
+    assert contents(write_zip(tmp_path / "flagged.zip", flagged)) == flagged
     dos = content.replace("été".encode(), "été".encode("cp437") + b"12")
     (tmp_path / "dos.zip").write_bytes(dos)
     assert contents(tmp_path / "dos.zip") == {"train/bateau/été12.jpg": b"x"}
@@ -76,8 +78,9 @@ def test_what_lies_in_hidden_folders_is_not_looked_at(tmp_path: Path) -> None:
 
 
 def test_a_tar_may_begin_with_any_name(tmp_path: Path) -> None:
-    files = {"PKW/1.jpg": b"x"}
-    assert contents(write_tar(tmp_path / "cars.tar", files)) == files
+    for name in ("PKW", "BZhang", "BZh9"):
+        files = {f"{name}/1.jpg": b"x"}
+        assert contents(write_tar(tmp_path / "cars.tar", files)) == files
 
 
 def test_what_is_not_wanted_is_left_out(tmp_path: Path) -> None:

@@ -365,7 +365,7 @@ def test_where_shapes_are_not_known_poses_are_measured_alone(project: Path, ours
     [
         (["--out", "."], r"^error: \. cannot be written; name a file that ends in \.json$"),
         (["--out", "ours.npz"], r"^error: ours\.npz cannot be written; name a file that ends in \.json$"),
-        (["--out", "file/ours.json"], r"^error: file: File exists; look at the path"),
+        (["--out", "file/ours.json"], r"^error: file/ours\.json cannot be written; look at \S*/file, or name"),
         (["--dataset", ""], r"^error: the dataset is ''; expected an entry of `datasets` in params\.yaml$"),
         (["--dataset", "boats"], r"boats does not exist; make it with `dvc repro prepare_data@boats`$"),
         (["--category", "cat"], r"toybox has no category 'cat'; did you mean 'car'\?$"),

@@ -100,7 +100,16 @@ def test_numbers_are_those_of_newer_yaml_which_dvc_writes(tmp_path: Path, number
 
 @pytest.mark.parametrize(
     ("written", "means"),
-    [("01200", 1200), ("-07", -7), ("+3", 3), ("0o17", 15), ("0x1F", 31), ("1:04", "1:04"), ("1_0", "1_0")],
+    [
+        ("01200", 1200),
+        ("-07", -7),
+        ("+3", 3),
+        ("0o17", 15),
+        ("0x1F", 31),
+        ("1:04", "1:04"),
+        ("1_000", 1000),
+        ("-0b11", -3),
+    ],
 )
 def test_whole_numbers_are_those_of_newer_yaml_too(tmp_path: Path, written: str, means: object) -> None:
     (tmp_path / "params.yaml").write_text(f"count: {written}")

@@ -1,12 +1,15 @@
 """Photographs are painted on reconstructions."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
+from pathlib import Path
 
 import pytest
 import torch
+import yaml
 from jaxtyping import Float
 from torch import Tensor
 
+from pipeline.config import load
 from pipeline.errors import ConfigError
 from pipeline.export.painting import PaintingConfig, find_object, minimize_quadratic, paint
 from pipeline.geometry.camera import CameraConfig, Pose
@@ -120,6 +123,10 @@ def test_conjugate_gradients_solve_linear_equations() -> None:
     torch.testing.assert_close(torch.cat([first, second.flatten()]), torch.linalg.solve(matrix, right))
 
 
-def test_a_texture_size_that_cannot_be_halved_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"paint\.texture_size is 48; expected 32, 64, 128"):
-        replace(CONFIG, texture_size=48)
+def test_a_texture_size_that_cannot_be_halved_is_refused(tmp_path: Path) -> None:
+    settings = asdict(replace(CONFIG, texture_size=48))
+    (tmp_path / "params.yaml").write_text(yaml.safe_dump({"paint": settings}))
+    with pytest.raises(
+        ConfigError, match=r"'paint\.texture_size' is 48; expected a whole number, a power of two from 4"
+    ):
+        load(tmp_path / "params.yaml", PaintingConfig, ["paint"])

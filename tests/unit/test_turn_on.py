@@ -299,6 +299,29 @@ def test_a_baseline_turns_no_run_on(params: Path, photographs: Path, baseline: s
     assert document[baseline]["mine-van"]["features"] in document["features"]
 
 
+def test_a_category_that_a_baseline_is_of_is_not_looked_for_again(params: Path, photographs: Path) -> None:
+    options = Options("toybox-car", dataset="mine", category="van", baseline="colmap")
+    turn_on(params, options._replace(source=photographs))
+    for split in ("train", "test"):
+        (photographs / split / "van/1.jpg").unlink()
+    assert turn_on(params, options._replace(seed=1)) == "mine-van-seed1"
+
+
+@pytest.mark.parametrize(
+    ("written", "message"),
+    [
+        ("sise: 32", r"unknown key 'prepare_data\.folder\.sise'; did you mean 'size'"),
+        ("", r"'prepare_data\.folder\.size' is missing; expected a whole number"),
+    ],
+)
+def test_settings_of_new_photographs_are_looked_at_first(
+    params: Path, photographs: Path, written: str, message: str
+) -> None:
+    params.write_text(params.read_text().replace("  folder: {size: 32,", f"  folder: {{{written},".replace("{,", "{")))
+    with pytest.raises(ConfigError, match=message):
+        turn_on(params, Options("toybox-car", dataset="mine", category="van", source=photographs))
+
+
 def test_the_embedded_data_set_comes_back(params: Path) -> None:
     document = YAML(typ="safe").load(params)
     known = document["datasets"]["toybox"]
@@ -533,16 +556,6 @@ def test_a_category_that_the_photographs_have_not_changes_nothing(
         ("voxel_resolution: 32", "voxel_resolutions: 32", "did you mean"),
         ("score_batches: 32", "score_batches: 0", "learn_base_shape.score_batches"),
         ("texture_size: 64", "texture_size: 48", "texture_size' is 48; expected a whole number, a power of two from 4"),
-        (
-            "  folder: {size: 32, fit: crop}",
-            "  folder: {sise: 32, fit: crop}",
-            "prepare_data.folder.sise'; did you mean",
-        ),
-        (
-            "  folder: {size: 32, fit: crop}",
-            "  foldr: {size: 32, fit: crop}",
-            "prepare_data has no 'foldr'; did you mean",
-        ),
         ("device: auto", "device: gpu", "device is 'gpu'; expected auto, cpu or cuda"),
         ("precision: auto", "precision: float16", "precision is 'float16'; expected auto, float32 or bfloat16"),
         ("memory: 8", "memory: -8", "memory is -8; expected a number of GiB above 0"),
