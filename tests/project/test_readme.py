@@ -1,12 +1,10 @@
 """The README says what is there: its rows, commands, links and figures."""
 
 import hashlib
-import io
 import os
 import re
 import shutil
 import subprocess
-import tarfile
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +29,9 @@ def committed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     words = ["git", "archive", "HEAD", "README.md", "data/README.md", "docs", "dvc.lock"]
     words += [f"results/{part}" for part in ("metrics", "tables", "curves", "figures/base_shapes")]
     archive = subprocess.run(words, cwd=ROOT, check=True, stdout=subprocess.PIPE).stdout
-    with tarfile.open(fileobj=io.BytesIO(archive)) as files:
-        files.extractall(folder, filter="data")
+    subprocess.run(
+        ["tar", "--extract", "--directory", folder], input=archive, check=True
+    )  # tarfile of 3.11.2 trusts all
     return folder
 
 
