@@ -6,6 +6,7 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 Features = Sequence[Float[Tensor, "_ _ _ _"]]
 
@@ -36,7 +37,8 @@ class _NormOfDifference(torch.autograd.Function):
         return norm
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, Tensor | None]:
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, Tensor | None]:  # pyright: ignore[reportIncompatibleMethodOverride]
         difference, norm = ctx.saved_tensors
         scale = torch.where(norm > 0, gradients[0] / norm, 0.0)
         gradient = difference * scale[..., None]

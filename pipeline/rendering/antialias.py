@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from pipeline.geometry.topology import topology_of
 from pipeline.rendering.rasterize import Fragments
@@ -30,7 +31,8 @@ class _CompiledAntialias(torch.autograd.Function):
         return torch.from_numpy(antialias_cpu.blend(colors.numpy(), codes, excesses))
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None, Tensor, None]:
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None, Tensor, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
         from pipeline.rendering import antialias_cpu
 
         inputs = (*ctx.saved_tensors, gradients[0].contiguous())

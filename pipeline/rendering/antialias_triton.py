@@ -5,6 +5,7 @@ from typing import Any, no_type_check
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from pipeline.geometry.topology import topology_of
 from pipeline.rendering.crossings_triton import NONE, find_crossings, point, unpack
@@ -150,7 +151,8 @@ class _Antialias(torch.autograd.Function):
         return blended
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None, Tensor, None]:
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None, Tensor, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
         colors, crossings, taken, vertices, edges = ctx.saved_tensors
         batch, channels, size, _ = colors.shape
         color_gradient, excess_gradient = torch.empty_like(colors), colors.new_zeros(crossings.shape)

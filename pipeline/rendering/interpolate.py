@@ -5,6 +5,7 @@ from typing import Any
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from pipeline.rendering.rasterize import Fragments
 
@@ -19,7 +20,8 @@ class _CompiledInterpolate(torch.autograd.Function):
         return torch.from_numpy(interpolate_cpu.interpolate(*(tensor.numpy() for tensor in inputs)))
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None, Tensor]:
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None, Tensor]:  # pyright: ignore[reportIncompatibleMethodOverride]
         from pipeline.rendering import interpolate_cpu
 
         attributes, faces, face_index, barycentric = (tensor.numpy() for tensor in ctx.saved_tensors)

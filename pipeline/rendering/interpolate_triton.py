@@ -5,6 +5,7 @@ from typing import Any, no_type_check
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from pipeline.rendering.triton_compiler import launch, tl, triton
 
@@ -92,7 +93,8 @@ class _Interpolate(torch.autograd.Function):
         return values
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, None, None, Tensor]:
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, None, None, Tensor]:  # pyright: ignore[reportIncompatibleMethodOverride]
         attributes, _, face_index, barycentric = ctx.saved_tensors
         (batch, vertex_count, channels), samples = attributes.shape, face_index.shape[1:].numel()
         results = torch.zeros_like(attributes), torch.empty_like(barycentric)

@@ -11,6 +11,7 @@ from typing import Any, no_type_check
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from pipeline.geometry.camera import NEAREST_DEPTH
 from pipeline.rendering.triton_compiler import launch, tl, triton
@@ -269,7 +270,8 @@ class _Rasterize(torch.autograd.Function):
         return face_index, barycentric
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, None, None]:  # pyright: ignore[reportIncompatibleMethodOverride]
         vertices, faces, face_index = ctx.saved_tensors
         (batch, vertex_count, _), size = vertices.shape, face_index.shape[1]
         vertex_gradient = torch.zeros_like(vertices)

@@ -5,6 +5,7 @@ from typing import Any
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 
 class _CompiledSample(torch.autograd.Function):
@@ -17,7 +18,8 @@ class _CompiledSample(torch.autograd.Function):
         return torch.from_numpy(texture_cpu.sample(*(tensor.numpy() for tensor in inputs)))
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, ...]:
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
         from pipeline.rendering import texture_cpu
 
         texture_maps, directions = (tensor.numpy() for tensor in ctx.saved_tensors)

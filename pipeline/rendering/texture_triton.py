@@ -6,6 +6,7 @@ from typing import Any, no_type_check
 import torch
 from jaxtyping import Float
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from pipeline.rendering.triton_compiler import launch, tl, triton
 
@@ -121,7 +122,8 @@ class _Sample(torch.autograd.Function):
         return colors
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor]:
+    @once_differentiable
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor, Tensor]:  # pyright: ignore[reportIncompatibleMethodOverride]
         maps, directions, _ = ctx.saved_tensors
         results = torch.zeros_like(maps), torch.empty_like(directions)
         samples = directions.shape[1:3].numel()

@@ -7,6 +7,7 @@ from pipeline.losses.chamfer import chamfer
 from pipeline.losses.feature_matching import feature_matching
 from pipeline.losses.image_distance import feature_distance, pairwise_feature_distance
 from pipeline.seeding import generator
+from tests.gradients import assert_refuses_second_derivatives
 
 
 def random_features(stream: str, count: int, dtype: torch.dtype = torch.float64) -> list[Tensor]:
@@ -105,6 +106,11 @@ def test_gradient_is_finite_where_features_are_equal() -> None:
     for layer in generated:
         assert layer.grad is not None
         assert torch.isfinite(layer.grad).all()
+
+
+def test_second_derivatives_of_the_distance_are_refused() -> None:
+    first, second = (random_features(stream, 2)[0] for stream in ("first", "second"))
+    assert_refuses_second_derivatives(lambda a, b: feature_distance([a], [b]), first, second)
 
 
 def test_half_precision_photographs_compare_with_float_renderings() -> None:

@@ -17,7 +17,7 @@ from pipeline.rendering.lighting import Light, shade, vertex_normals
 from pipeline.rendering.rasterize import Fragments, rasterize
 from pipeline.rendering.texture import sample_sphere_texture
 from tests import rendering_in_torch
-from tests.gradients import gradients
+from tests.gradients import assert_refuses_second_derivatives, gradients
 from tests.scenes import CONFIG, Scene
 
 
@@ -125,6 +125,22 @@ def test_antialiasings_agree(scene: Scene, size: int, roughness: float) -> None:
     assert (compiled[0] - colors).abs().max() > 0.1
     torch.testing.assert_close(compiled[:2], in_torch[:2], atol=1e-5, rtol=0)
     torch.testing.assert_close(compiled[2], in_torch[2], atol=1e-4 * float(in_torch[2].abs().max()), rtol=0)
+
+
+def test_second_derivatives_are_refused(scene: Scene, vertices_ndc: Tensor) -> None:
+    faces = scene.mesh.faces
+    fragments = rasterize(vertices_ndc, faces, 16)
+    face_index, barycentric = fragments
+    assert_refuses_second_derivatives(lambda vertices: rasterize(vertices, faces, 16).barycentric, vertices_ndc)
+    assert_refuses_second_derivatives(
+        lambda attributes, weights: interpolate(attributes, faces, Fragments(face_index, weights)),
+        scene.mesh.vertices,
+        barycentric,
+    )
+    assert_refuses_second_derivatives(sample_sphere_texture, scene.texture_maps, torch.randn(3, 4, 4, 3))
+    assert_refuses_second_derivatives(
+        lambda colors, vertices: antialias(colors, fragments, vertices, faces), torch.rand(3, 4, 16, 16), vertices_ndc
+    )
 
 
 def test_texture_axes() -> None:

@@ -26,7 +26,7 @@ from pipeline.rendering.interpolate import interpolate
 from pipeline.rendering.rasterize import Fragments, rasterize
 from pipeline.rendering.renderer import RendererConfig
 from pipeline.rendering.texture import sample_sphere_texture
-from tests.gradients import gradients
+from tests.gradients import assert_refuses_second_derivatives, gradients
 from tests.project.import_closure import ROOT
 from tests.scenes import CONFIG, Scene
 from tests.triton_kernels import (
@@ -167,6 +167,25 @@ def test_antialiasing_agrees(size: int) -> None:
     expected = gradients(lambda colors, vertices: antialias(colors, fragments, vertices, faces), colors, vertices_ndc)
     assert (expected[0] - colors).abs().max() > 0.1
     assert_close(actual, expected, 1e-5)
+
+
+def test_second_derivatives_are_refused() -> None:
+    scene = Scene(1, 0, seed=3)
+    faces, vertices_ndc = scene.mesh.faces, project(scene.mesh.vertices, scene.pose, CONFIG.camera)
+    face_index, barycentric = rasterize(vertices_ndc, faces, 8)
+    corners, seen = faces.to(DEVICE), face_index.to(DEVICE)
+    colors, directions = torch.rand(1, 4, 8, 8), torch.randn(1, 4, 4, 3)
+
+    def interpolation(attributes: Tensor, weights: Tensor) -> Tensor:
+        return interpolate_triton.interpolate(attributes, corners, seen, weights)
+
+    def antialiasing(colors: Tensor, vertices: Tensor) -> Tensor:
+        return antialias_triton.antialias(colors, seen, barycentric.to(DEVICE), vertices, corners)
+
+    assert_refuses_second_derivatives(lambda vertices: draw(vertices, faces, 8).barycentric, vertices_ndc)
+    assert_refuses_second_derivatives(on_device(interpolation), scene.mesh.vertices, barycentric)
+    assert_refuses_second_derivatives(on_device(texture_triton.sample_sphere_texture), scene.texture_maps, directions)
+    assert_refuses_second_derivatives(on_device(antialiasing), colors, vertices_ndc)
 
 
 def test_no_pictures_give_none() -> None:
