@@ -49,10 +49,10 @@ def divide_seeds(out: Path) -> None:
     sphere = build_sphere(config.subdivisions, torch.device("cpu"))
 
     def learn(index: int) -> float:
-        trainer = SeedTrainer(config, sphere, photographs, extractor, 0, index)
+        trainer = SeedTrainer(config, sphere, photographs, 0, index)
         return [trainer.step(iteration)["reconstruction"] for iteration in range(STEPS)][-1].item()
 
-    divide(lambda _: SeedTrainer(config, sphere, photographs, extractor, 1, 0).step(0), 2)
+    divide(lambda _: SeedTrainer(config, sphere, photographs, 1, 0).step(0), 2)
     start = perf_counter()
     _write(out, start, divide(learn, 2))
 

@@ -43,7 +43,7 @@ def trainer_of(size: str) -> FullTrainer:
         extractor = FeatureExtractor(WideResNet(16, WIDTHS[size], 4), color_weight=60.0)
     extractor.to(DEVICE, resolve_precision("auto", DEVICE))
     pictures = torch.randint(0, 256, (256, 3, 32, 32), generator=generator(0)).to(DEVICE, torch.uint8)
-    return FullTrainer(config, Photographs(pictures, extractor, 64, memory=2**30), extractor, base, seed=0)
+    return FullTrainer(config, Photographs(pictures, extractor, 64, memory=2**30), base, seed=0)
 
 
 def networks(trainer: FullTrainer) -> list[nn.Module]:

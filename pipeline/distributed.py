@@ -100,9 +100,7 @@ def average(tensor: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
     """
     if world().size == 1:
         return tensor
-    total = _Sum.apply(tensor)
-    assert isinstance(total, Tensor)
-    return total / world().size
+    return _Sum.apply(tensor) / world().size
 
 
 def average_all(tensors: Sequence[Tensor]) -> list[Tensor]:
@@ -188,5 +186,5 @@ class _Sum(torch.autograd.Function):
         return total
 
     @staticmethod
-    def backward(context: Any, gradient: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
-        return _Sum.forward(context, gradient)
+    def backward(_context: Any, gradient: Tensor) -> Tensor:  # pyright: ignore[reportIncompatibleMethodOverride]
+        return _Sum.apply(gradient)

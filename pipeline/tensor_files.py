@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeVar
 
+import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
@@ -20,11 +21,15 @@ def save_tensors(path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[st
 
     Tensors are copied to the CPU. The texts share one header entry, because the format does not order its entries.
     """
-    copies = {name: tensors[name].detach().cpu().clone().contiguous() for name in sorted(tensors)}
+    copies = {name: _copied(tensors[name]) for name in sorted(tensors)}
     header = {"texts": json.dumps(dict(metadata), sort_keys=True)}
     with atomic_path(path) as temporary:
         # save_file would write, and after a kill leave, a temporary file of its own.
         temporary.write_bytes(save(copies, header))
+
+
+def _copied(tensor: Tensor) -> Tensor:
+    return tensor.detach().to("cpu", copy=True, memory_format=torch.contiguous_format)
 
 
 class _Entries(dict[str, Entry]):

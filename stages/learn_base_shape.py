@@ -16,6 +16,7 @@ from pipeline.networks.scene_generator import scene_tensors, scene_texts
 from pipeline.tensor_files import save_tensors
 from pipeline.training.base_shape import BaseShapeConfig, BaseShapes, learn_base_shape
 from pipeline.training.checkpoint import Checkpoint, reserved, restart_key
+from pipeline.training.photographs import Photographs
 from stages.command_line import parse, run
 
 
@@ -35,14 +36,11 @@ def learn(config: BaseShapeConfig, arguments: Namespace, device: torch.device) -
     memory, size = resolve_memory(scalar(arguments.params, "memory")), config.renderer.size
     precision = resolve_precision(scalar(arguments.params, "precision"), device)
     key = restart_key(config, [arguments.images, arguments.features], arguments.seed, device, precision)
+    checkpoints = [Checkpoint(arguments.checkpoints / str(index), key) for index in range(config.seeds)]
+    images = place_images([load_images_to_reduce(arguments.images, size)], device, memory, size)
+    extractor = load_feature_extractor(arguments.features, device, precision)
     shapes = learn_base_shape(
-        config,
-        place_images([load_images_to_reduce(arguments.images, size)], device, memory, size),
-        memory,
-        load_feature_extractor(arguments.features, device, precision),
-        arguments.seed,
-        arguments.checkpoints,
-        key,
+        config, Photographs(images, extractor, config.batch_size, memory), arguments.seed, checkpoints
     )
     if not is_first():
         return
@@ -50,8 +48,8 @@ def learn(config: BaseShapeConfig, arguments: Namespace, device: torch.device) -
     shapes.curve.write(arguments.curve)
     scores = shapes.scores.tolist()
     write_json(arguments.metrics, {"best_seed": shapes.best, "scores": scores, "seeds": len(scores)})
-    for index in range(config.seeds):
-        Checkpoint(arguments.checkpoints / str(index), key).clear()
+    for checkpoint in checkpoints:
+        checkpoint.clear()
 
 
 def save(shapes: BaseShapes, path: Path) -> None:

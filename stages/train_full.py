@@ -19,6 +19,7 @@ from pipeline.tensor_files import save_tensors
 from pipeline.training.checkpoint import Checkpoint, reserved, restart_key
 from pipeline.training.full import load_base, train_full
 from pipeline.training.full_trainer import FullTrainer, FullTrainingConfig
+from pipeline.training.photographs import Photographs
 from stages.command_line import parse, run
 
 
@@ -39,11 +40,11 @@ def train(arguments: Namespace, device: torch.device) -> None:
     precision = resolve_precision(scalar(arguments.params, "precision"), device)
     inputs = [arguments.images, arguments.features, arguments.base_shape, arguments.mesh]
     checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed, device, precision))
+    images = place_images([load_images_of_size(arguments.images, config.model.renderer.size)], device, memory)
+    extractor = load_feature_extractor(arguments.features, device, precision)
     trainer, curve = train_full(
         config,
-        place_images([load_images_of_size(arguments.images, config.model.renderer.size)], device, memory),
-        memory,
-        load_feature_extractor(arguments.features, device, precision),
+        Photographs(images, extractor, config.batch_size, memory),
         load_base(config, arguments.mesh, device),
         load_scenes(arguments.base_shape, arguments.mesh, config.model.renderer.size, device),
         arguments.seed,

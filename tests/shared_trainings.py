@@ -13,7 +13,7 @@ from unittest.mock import patch
 import torch
 from torch import Tensor, nn
 
-from pipeline.distributed import is_first, world
+from pipeline.distributed import average, is_first, share, world
 from pipeline.files import write_json
 from pipeline.geometry.sphere import build_sphere
 from pipeline.networks.scene_generator import scene_tensors
@@ -40,7 +40,8 @@ SEEDS = replace(test_base_shape.CONFIG, seeds=3, iterations=2)
 def take_steps(folder: Path) -> None:
     """Take steps of each training and write what every process holds then; learn seeds; train the full model."""
     with double_precision():
-        state = {**_features(), **_base_shape(), **_warm_up(), **_first_poses(), **_lessons(), **_ends(), **_full()}
+        trained = {**_features(), **_base_shape(), **_warm_up(), **_first_poses(), **_lessons(), **_ends(), **_full()}
+        state = {**trained, **_derivatives()}
     save_tensors(folder / f"{world().rank}.safetensors", state, {})
     write_json(folder / f"{world().rank}.convolutions.json", torch.backends.cudnn.conv.fp32_precision)  # pyright: ignore[reportAttributeAccessIssue]
     learn_seeds(folder)
@@ -70,7 +71,9 @@ def learn_seeds(folder: Path) -> None:
 
     images, _ = photographs(8)
     with patch.object(SeedTrainer, "step", counted):
-        shapes = learn_base_shape(SEEDS, images[:, :, ::2, ::2], MEMORY, tiny_extractor(), 0, folder / "seeds", "key")
+        pictures = Photographs(images[:, :, ::2, ::2], tiny_extractor(), SEEDS.batch_size, MEMORY)
+        checkpoints = [Checkpoint(folder / "seeds" / str(index), "key") for index in range(SEEDS.seeds)]
+        shapes = learn_base_shape(SEEDS, pictures, 0, checkpoints)
     (folder / f"{world().rank}.steps.json").write_text(json.dumps(steps))
     if is_first():
         tensors = {"vertices": shapes.vertices, "scores": shapes.scores, **scene_tensors(shapes.generators)}
@@ -90,12 +93,21 @@ def train(folder: Path, dying: int | None) -> None:
         FullTrainer.step = deadly
     with double_precision():
         (images, _), checkpoint = photographs(8), Checkpoint(folder / "full", "key")
-        extractor = tiny_extractor()
-        trainer, curve = train_full(TRAINING, images, MEMORY, extractor, base_mesh(), tiny_scenes(), 0, checkpoint)
+        pictures = Photographs(images, tiny_extractor(), TRAINING.batch_size, MEMORY)
+        trainer, curve = train_full(TRAINING, pictures, base_mesh(), tiny_scenes(), 0, checkpoint)
     if is_first():
         record = {"pose": trainer.record.pose, "shape": trainer.record.shape, "visits": trainer.visits}
         save_tensors(folder / "full.safetensors", {**trainer.model.state_dict(), **record}, {})
         curve.write(folder / "full.csv")
+
+
+def _derivatives() -> dict[str, Tensor]:
+    """Differentiate a loss of a whole batch twice."""
+    weight = torch.tensor(1.5, requires_grad=True)
+    loss = average((weight * share(torch.arange(8.0))).mean()) ** 3
+    (first,) = torch.autograd.grad(loss, weight, create_graph=True)
+    (second,) = torch.autograd.grad(first, weight)
+    return {"first derivative": average(first).detach(), "second derivative": average(second)}
 
 
 def _features() -> dict[str, Tensor]:
@@ -109,7 +121,7 @@ def _base_shape() -> dict[str, Tensor]:
     images, _ = photographs(8)
     config, extractor = test_base_shape.CONFIG, tiny_extractor()
     real = Photographs(images[:, :, ::2, ::2], extractor, 4, MEMORY)
-    trainer = SeedTrainer(config, build_sphere(config.subdivisions, torch.device("cpu")), real, extractor, 0, 0)
+    trainer = SeedTrainer(config, build_sphere(config.subdivisions, torch.device("cpu")), real, 0, 0)
     losses = [*trainer.step(0).values(), *trainer.step(1).values(), trainer.score()]
     return {**_weights("base", trainer.scene), "base.losses": torch.tensor(losses), "base.shape": trainer.shape()}
 
@@ -139,7 +151,7 @@ def _lessons() -> dict[str, Tensor]:
 def _ends() -> dict[str, Tensor]:
     images, poses = photographs(80)
     config, extractor = replace(TRAINING, lessons=replace(TRAINING.lessons, iterations=1)), tiny_extractor()
-    trainer = FullTrainer(config, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
+    trainer = FullTrainer(config, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
     trainer.record, trainer.visits = Record(poses, trainer.record.shape), trainer.visits + 1
     with patch.object(ends, "consistent_axes", _axes_of_a_device_that_rounds_differently):
         trainer.turn_round(ends.EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 75.0, 3, 4.0, 2, 60))
@@ -174,7 +186,7 @@ def _full_step(name: str, iteration: int) -> dict[str, Tensor]:
 def _full_trainer() -> FullTrainer:
     images, _ = photographs(8)
     extractor = tiny_extractor()
-    return FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
+    return FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
 
 
 def _weights(name: str, module: nn.Module) -> dict[str, Tensor]:

@@ -14,7 +14,7 @@ from pipeline.geometry.symmetry import mirror_index
 from pipeline.losses.smoothness import SmoothnessConfig
 from pipeline.networks.encoders import EncoderConfig
 from pipeline.networks.feature_extractor import FeatureExtractor
-from pipeline.networks.full_model import FullModel, FullModelConfig, Reconstruction, ShapeConfig
+from pipeline.networks.full_model import FullModel, FullModelConfig, Reconstruction
 from pipeline.networks.pose_coordinates import PoseRange
 from pipeline.networks.pose_decoder import PoseRegression
 from pipeline.networks.scene_generator import (
@@ -24,7 +24,7 @@ from pipeline.networks.scene_generator import (
     SceneConfig,
     SceneGenerator,
 )
-from pipeline.networks.shapes import BaseLearningConfig
+from pipeline.networks.shapes import BaseLearningConfig, ShapeConfig
 from pipeline.networks.wide_resnet import WideResNet
 from pipeline.rendering.renderer import Mesh, RendererConfig
 from pipeline.seeding import generator, initialised

@@ -1,4 +1,4 @@
-"""The sphere that base shapes deform, with everything that depends on its connectivity alone."""
+"""The sphere that base shapes deform, and its mirror symmetry."""
 
 from typing import NamedTuple
 
@@ -8,7 +8,6 @@ from torch import Tensor
 
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.symmetry import mirror_index
-from pipeline.geometry.topology import Topology, topology_of
 
 
 class Sphere(NamedTuple):
@@ -18,17 +17,15 @@ class Sphere(NamedTuple):
         directions: unit vectors, the texture domain.
         faces: counter-clockwise from outside.
         mirror: index of each vertex's mirror image about x = 0.
-        topology: neighbourhoods for the smoothness terms.
     """
 
     directions: Float[Tensor, "V 3"]
     faces: Int[Tensor, "F 3"]
     mirror: Int[Tensor, " V"]
-    topology: Topology
 
 
 def build_sphere(subdivisions: int, device: torch.device) -> Sphere:
-    """Build the icosphere with everything that depends on its connectivity alone."""
+    """Build the icosphere and find each vertex's mirror image."""
     directions, faces = icosphere(subdivisions)
     directions, faces = directions.to(device), faces.to(device)
-    return Sphere(directions, faces, mirror_index(directions), topology_of(faces))
+    return Sphere(directions, faces, mirror_index(directions))

@@ -7,27 +7,33 @@ from torch import Tensor
 from pipeline.device import constant
 from pipeline.errors import MeshError
 
+PARTNER_TOLERANCE = 1e-6
+"""How far a vertex may lie from the image of its partner, in world units: rounding of coordinates."""
 
-def mirror_index(vertices: Float[Tensor, "V 3"], tolerance: float = 1e-6) -> Int[Tensor, " V"]:
+SHAPE_TOLERANCE = 1e-4
+"""How far vertices of a symmetric shape may lie from their partners' images: rounding of trained coordinates."""
+
+
+def mirror_index(vertices: Float[Tensor, "V 3"]) -> Int[Tensor, " V"]:
     """Find the mirror image of every vertex.
 
-    Entry i is the index of the vertex at (-x, y, z) of vertex i, within `tolerance`; vertices on the plane map to
+    Entry i is the index of the vertex at (-x, y, z) of vertex i, within rounding; vertices on the plane map to
     themselves. Raise MeshError when some vertex has no partner or two vertices share one.
     """
     distances = torch.cdist(reflect(vertices).double(), vertices.double(), compute_mode="donot_use_mm_for_euclid_dist")
     distance, index = distances.min(dim=1)
     identity = torch.arange(len(vertices), device=vertices.device)
-    if distance.max() > tolerance or not torch.equal(index[index], identity):
+    if distance.max() > PARTNER_TOLERANCE or not torch.equal(index[index], identity):
         raise MeshError(
             f"the mesh is not mirror-symmetric about x = 0: a vertex is {distance.max():.2g} away from its image, "
-            f"expected at most {tolerance:.2g}; symmetrise the mesh first"
+            f"expected at most {PARTNER_TOLERANCE:.2g}; symmetrise the mesh first"
         )
     return index
 
 
-def is_symmetric(vertices: Float[Tensor, "V 3"], mirror: Int[Tensor, " V"], tolerance: float = 1e-4) -> bool:
-    """Tell whether each vertex is the reflection of its mirror partner within `tolerance`."""
-    return bool((vertices[mirror] - reflect(vertices)).abs().max() <= tolerance)
+def is_symmetric(vertices: Float[Tensor, "V 3"], mirror: Int[Tensor, " V"]) -> bool:
+    """Tell whether each vertex is the reflection of its mirror partner within rounding."""
+    return bool((vertices[mirror] - reflect(vertices)).abs().max() <= SHAPE_TOLERANCE)
 
 
 def reflect(vectors: Float[Tensor, "... 3"]) -> Float[Tensor, "... 3"]:

@@ -81,5 +81,6 @@ def laplacian_matrix(faces: Int[Tensor, "F 3"]) -> Float[Tensor, "V V"]:
 
 def polygon_areas(vertices: Float[Tensor, "*B V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "*B F"]:
     """Measure the area of each face. Gradients flow to `vertices`."""
-    a, b, c = vertices[..., faces, :].unbind(dim=-2)
+    # Indexing as such adds gradients in any order where there are many, so that bytes would change from run to run.
+    a, b, c = vertices.index_select(-2, faces.flatten()).unflatten(-2, faces.shape).unbind(dim=-2)
     return torch.linalg.vector_norm(torch.linalg.cross(b - a, c - a), dim=-1) / 2

@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from pipeline.geometry.topology import Topology
+from pipeline.geometry.topology import Topology, topology_of
 from pipeline.ranges import NonNegative
 
 # Products of four lengths; far below those of a polygon in the unit cube, so only collapsed polygons feel it.
@@ -31,12 +31,15 @@ class SmoothnessConfig:
     """t_a: sum over edges of the angle between normals that goes unpunished, in radians."""
 
 
-def smoothness(vertices: Float[Tensor, "B V 3"], topology: Topology, config: SmoothnessConfig) -> Float[Tensor, " B"]:
+def smoothness(
+    vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], config: SmoothnessConfig
+) -> Float[Tensor, " B"]:
     """Sum the four smoothness terms of each mesh: L_s of the appendix.
 
     Terms are sums over vertices and edges, not means. Gradients flow to `vertices` and stay finite on collapsed
     polygons.
     """
+    topology = topology_of(faces)
     # Coordinates first and the batch last: rows of the gathers are then long and contiguous, three times faster.
     positions = vertices.permute(1, 2, 0).contiguous()
     starts = positions.index_select(0, topology.edges[:, 0])

@@ -24,9 +24,7 @@ def reverse_gradient(values: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]
     Placed between renderings and discriminator, one backward pass trains the discriminator and its adversary (paper
     section 3.2.3, term 4).
     """
-    reversed_values = _ReverseGradient.apply(values)
-    assert isinstance(reversed_values, Tensor)
-    return reversed_values
+    return _ReverseGradient.apply(values)
 
 
 def view_prior_loss(estimated: Float[Tensor, "B"], random: Float[Tensor, "N"]) -> Float[Tensor, ""]:

@@ -25,7 +25,7 @@ class ViewDiscriminator(nn.Module):
         self.score = nn.Linear(4 * width, 1)
 
     def forward(self, images: Float[Tensor, "B 3 H W"], views: Float[Tensor, "B K"]) -> Float[Tensor, "B"]:
-        """Return logits, positive for "rendered at an estimated view"; `views` are pose embeddings."""
+        """Return logits, positive for "rendered at an estimated view"; `views` are pose coordinates."""
         maps = 2 * images - 1
         for convolution in self.convolutions:
             maps = functional.leaky_relu(convolution(maps), 0.2)

@@ -13,11 +13,16 @@ from torch.nn import functional
 from pipeline.errors import ConfigError
 from pipeline.ranges import Count
 
+POOLED_SIZE = 4
+"""Maps are averaged to squares of so many positions a side: enough to keep where things are."""
+POSITIONS = POOLED_SIZE**2
 NORMALIZATION_GROUPS = 8
 CODE_NORM = 2.0
+"""Root mean square norm of codes at the start: with 128 entries of deviation 1 decoders saturated."""
 LEAST_COLOR_VARIANCE = 1e-4
 """A deviation of .01, 2.5 grey levels: whitening does not magnify what varies less."""
 LEAST_FEATURE_DEVIATION = 1e-3
+"""Features that vary less over the first photographs are not magnified further."""
 
 Features = Sequence[Float[Tensor, "_ _ _ _"]]
 
@@ -95,14 +100,14 @@ class Encoder(nn.Module):
         groups += [_group(narrow, wide, config.blocks, stride=2) for narrow, wide in pairwise(widths)]
         self.groups = nn.Sequential(*groups)
         self.normalize = nn.GroupNorm(NORMALIZATION_GROUPS, widths[-1])
-        self.project = nn.Linear(widths[-1] * 16, code_size)
+        self.project = nn.Linear(widths[-1] * POSITIONS, code_size)
 
     def forward(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B K"]:
         """Return the codes of images in [0, 1]; 4x4 averages keep where things are (a smaller last map is spread)."""
         colors = torch.einsum("kc,bchw->bkhw", self.color_mixing, images - self.color_mean[:, None, None])
         with torch.autocast(images.device.type, torch.bfloat16, enabled=self.precision == torch.bfloat16):
             maps = functional.relu(self.normalize(self.groups(self.stem(colors))))
-        return self.project(functional.adaptive_avg_pool2d(maps.float(), 4).flatten(1))
+        return self.project(_pool(maps))
 
     @torch.no_grad()
     def whiten(self, images: Float[Tensor, "B 3 H W"]) -> None:
@@ -134,9 +139,9 @@ class FeatureEncoder(nn.Module):
     def __init__(self, channels: int, code_size: int) -> None:
         """Take how many channels all maps have together."""
         super().__init__()
-        self.register_buffer("mean", torch.zeros(channels * 16))
-        self.register_buffer("deviation", torch.ones(channels * 16))
-        self.project = nn.Linear(channels * 16, code_size)
+        self.register_buffer("mean", torch.zeros(channels * POSITIONS))
+        self.register_buffer("deviation", torch.ones(channels * POSITIONS))
+        self.project = nn.Linear(channels * POSITIONS, code_size)
 
     def forward(self, features: Features) -> Float[Tensor, "B K"]:
         """Return the codes of photographs with these features; pooling to 4x4 keeps where things are."""
@@ -152,7 +157,11 @@ class FeatureEncoder(nn.Module):
 
 
 def _pooled(features: Features) -> Float[Tensor, "B pooled"]:
-    return torch.cat([functional.adaptive_avg_pool2d(layer.float(), 4).flatten(1) for layer in features], dim=1)
+    return torch.cat([_pool(layer) for layer in features], dim=1)
+
+
+def _pool(maps: Float[Tensor, "B C H W"]) -> Float[Tensor, "B pooled"]:
+    return functional.adaptive_avg_pool2d(maps.float(), POOLED_SIZE).flatten(1)
 
 
 def _standardize(projection: nn.Linear, codes: Float[Tensor, "B K"]) -> None:

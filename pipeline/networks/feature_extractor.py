@@ -18,7 +18,7 @@ Network = WideResNet | PretrainedNetwork
 class FeatureExtractor(nn.Module):
     """Turn pictures into the feature maps in which they are compared (paper, appendix, "Reconstruction loss").
 
-    A frozen copy of a trained network in which every batch normalisation is folded into what stands before or after it.
+    A frozen copy of a trained network; the batch normalisations of its feature maps are folded into their neighbours.
     Gradients flow to the pictures alone. The network's maps have the precision the module was moved `to`.
 
     The pictures themselves, times `color_weight`, come before the network's maps: features learned for recognition

@@ -11,30 +11,14 @@ from torch import Tensor, nn
 
 from pipeline.config import from_json
 from pipeline.geometry.camera import Pose
-from pipeline.networks.encoders import Encoder, EncoderConfig, FeatureEncoder, Features
+from pipeline.networks.encoders import POSITIONS, Encoder, EncoderConfig, FeatureEncoder, Features
 from pipeline.networks.generators import ImageBackgroundGenerator, StripesGenerator, TextureGenerator
 from pipeline.networks.pose_coordinates import Framing, PoseCoordinates, PoseRange
 from pipeline.networks.pose_decoder import PoseDecoder, PoseRegression
-from pipeline.networks.shapes import BaseLearningConfig, FreeFormShapes, OffsetShapes, ShapeDecoder
-from pipeline.ranges import Count, NonNegative, Positive, Rim, TextureSize
+from pipeline.networks.shapes import FreeFormShapes, OffsetShapes, ShapeConfig, ShapeDecoder
+from pipeline.ranges import Count, Rim, TextureSize
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 from pipeline.tensor_files import load_tensors, load_weights
-
-
-@dataclass(frozen=True)
-class ShapeConfig:
-    """How predicted shapes may differ from the base shape, and how that goes on learning."""
-
-    mirror: bool
-    """Whether predicted shapes are mirror-symmetric about x = 0."""
-    grid_reach: NonNegative
-    """Control point offset at parameter 1, in world units."""
-    dimension_reach: NonNegative
-    """Logarithm of a relative dimension at parameter 1."""
-    base_learning: BaseLearningConfig | None
-    """None keeps the base shape as it was learned, as in the paper."""
-    offset_reach: Positive
-    """Vertex offset at parameter 1 in single-stage training, in world units."""
 
 
 @dataclass(frozen=True)
@@ -98,12 +82,8 @@ class FullModel(nn.Module):
         self.register_buffer("base_vertices", base.vertices[0])
         self.register_buffer("faces", base.faces)
         self.register_buffer("directions", base.directions)
-        shape, code, hidden = config.shape, config.code_size, config.hidden_size
-        self.shapes = (
-            FreeFormShapes(base, shape.grid_reach, shape.dimension_reach, shape.mirror, shape.base_learning)
-            if config.two_stage
-            else OffsetShapes(base.vertices[0], shape.offset_reach, shape.mirror)
-        )
+        code, hidden = config.code_size, config.hidden_size
+        self.shapes = (FreeFormShapes if config.two_stage else OffsetShapes)(base, config.shape)
         self.poses = PoseCoordinates(config.pose_range, config.renderer.camera, config.box_rim, config.framing == "box")
         self.shape_encoder = (
             FeatureEncoder(channels, code)
@@ -140,7 +120,7 @@ class FullModel(nn.Module):
     def infer(self, images: Float[Tensor, "B 3 H W"], features: Features) -> Reconstruction:
         """Reconstruct photographs in [0, 1], which have these features, in the poses it reads off them.
 
-        Put the model into evaluation mode.
+        The model has to be in evaluation mode.
         """
         vertices = self.shapes(self.read_shapes(images, features))
         pose = self.poses(self.read_poses(images), vertices)
@@ -185,6 +165,6 @@ def load_full_model(path: Path, device: torch.device) -> FullModel:
     tensors, texts = load_tensors(path)
     config = from_json(texts["config"], FullModelConfig, path)
     base = Mesh(tensors["base_vertices"][None], tensors["faces"], tensors["directions"])
-    model = FullModel(config, base, torch.float32, tensors["shape_encoder.project.weight"].shape[1] // 16)
+    model = FullModel(config, base, torch.float32, tensors["shape_encoder.project.weight"].shape[1] // POSITIONS)
     load_weights(model, tensors, path)
     return model.to(device).eval()

@@ -33,9 +33,9 @@ class GeneratorConfig:
         latent_size: length of the noise vector.
         shape_hidden: width of the shape generator.
         offset_scale: factor on the vertex offsets; larger values move vertices faster at the same learning rate.
-        texture_channels: channels of the texture generator's last block.
+        texture_channels: channels of the last block of the texture generator, and of that of backgrounds of any kind.
         texture_size: side of the texture map in texels, a power of two.
-        background_hidden: channels of the background generator.
+        background_hidden: channels of the generator of striped backgrounds.
         mirror_texture: whether the texture is the same on both sides of the symmetry plane.
     """
 

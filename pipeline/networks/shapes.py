@@ -12,7 +12,7 @@ from pipeline.geometry.ffd import CONTROL_POINTS, control_point_weights, deform
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.symmetry import is_symmetric, mirror_index, symmetrize
 from pipeline.geometry.topology import laplacian_matrix
-from pipeline.ranges import NonNegative
+from pipeline.ranges import NonNegative, Positive
 from pipeline.rendering.renderer import Mesh
 
 SLOPE = 0.1
@@ -33,6 +33,22 @@ class BaseLearningConfig:
     """How far a step at one vertex carries its neighbours along, see `compliance_matrix`."""
     mirror: bool
     """Whether offsets are mirror-symmetric about x = 0, as the base shape then has to be."""
+
+
+@dataclass(frozen=True)
+class ShapeConfig:
+    """How predicted shapes may differ from the base shape, and how that goes on learning."""
+
+    mirror: bool
+    """Whether predicted shapes are mirror-symmetric about x = 0."""
+    grid_reach: NonNegative
+    """Control point offset at parameter 1, in world units."""
+    dimension_reach: NonNegative
+    """Logarithm of a relative dimension at parameter 1."""
+    base_learning: BaseLearningConfig | None
+    """None keeps the base shape as it was learned, as in the paper."""
+    offset_reach: Positive
+    """Vertex offset at parameter 1 in single-stage training, in world units."""
 
 
 class BaseOffsets(nn.Module):
@@ -95,18 +111,10 @@ class FreeFormShapes(nn.Module):
     mirrored_points: Tensor
     correlation_root: Tensor
 
-    def __init__(
-        self,
-        base: Mesh,
-        grid_reach: float,
-        dimension_reach: float,
-        mirror: bool,
-        base_learning: BaseLearningConfig | None,
-    ) -> None:
+    def __init__(self, base: Mesh, config: ShapeConfig) -> None:
         super().__init__()
-        base_vertices = base.vertices[0]
-        self.grid_reach, self.dimension_reach, self.mirror = grid_reach, dimension_reach, mirror
-        self.base_offsets = None if base_learning is None else BaseOffsets(base, base_learning)
+        base_vertices, self.config = base.vertices[0], config
+        self.base_offsets = None if config.base_learning is None else BaseOffsets(base, config.base_learning)
         self.parameter_count = CONTROL_POINTS * 3 + 3
         axis = torch.arange(4.0)
         grid = torch.cartesian_prod(axis, axis, axis) / 3 - 0.5
@@ -132,10 +140,10 @@ class FreeFormShapes(nn.Module):
         return self._deform(self.base().detach(), parameters)
 
     def _deform(self, base: Float[Tensor, "V 3"], parameters: Float[Tensor, "B K"]) -> Float[Tensor, "B V 3"]:
-        offsets = self.grid_reach * parameters[:, :-3].unflatten(1, (CONTROL_POINTS, 3))
-        if self.mirror:
+        offsets = self.config.grid_reach * parameters[:, :-3].unflatten(1, (CONTROL_POINTS, 3))
+        if self.config.mirror:
             offsets = symmetrize(offsets, self.mirrored_points)
-        dimensions = (self.dimension_reach * parameters[:, -3:]).exp()
+        dimensions = (self.config.dimension_reach * parameters[:, -3:]).exp()
         return fit_unit_cube(deform(base, self.weights, offsets) * dimensions[:, None])
 
     def draw(self, count: int, spread: float | Float[Tensor, "B 1"], rng: torch.Generator) -> Float[Tensor, "B K"]:
@@ -159,9 +167,9 @@ class OffsetShapes(nn.Module):
     base_vertices: Tensor
     mirrored_vertices: Int[Tensor, " V"]
 
-    def __init__(self, base_vertices: Float[Tensor, "V 3"], reach: float, mirror: bool) -> None:
+    def __init__(self, base: Mesh, config: ShapeConfig) -> None:
         super().__init__()
-        self.reach, self.mirror = reach, mirror
+        base_vertices, self.reach, self.mirror = base.vertices[0], config.offset_reach, config.mirror
         self.parameter_count = base_vertices.numel()
         self.register_buffer("base_vertices", base_vertices, persistent=False)
         self.register_buffer("mirrored_vertices", mirror_index(base_vertices), persistent=False)

@@ -22,9 +22,8 @@ class Light(NamedTuple):
 def vertex_normals(vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "B V 3"]:
     """Return unit normals at the vertices: the mean of the touching faces' normals weighted by area."""
     batch, count, _ = vertices.shape
-    rows = vertices.transpose(0, 1).reshape(
-        count, -1
-    )  # one contiguous row a vertex makes gathering several times faster
+    # One contiguous row a vertex makes gathering several times faster.
+    rows = vertices.transpose(0, 1).reshape(count, -1)
     first, second, third = (rows.index_select(0, corner).view(-1, batch, 3) for corner in faces.unbind(1))
     face_normals = torch.linalg.cross(second - first, third - first).flatten(1)
     normals = torch.zeros_like(rows)

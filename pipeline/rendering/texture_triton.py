@@ -86,10 +86,8 @@ def _sample_backward(
     slope_across, slope_down = tl.zeros((block,), tl.float32), tl.zeros((block,), tl.float32)
     for channel in tl.static_range(3):
         upstream = tl.load(gradient + (3 * picture + channel) * sample_count + sample, seen, other=0.0)
-        texture, total = (
-            maps + (3 * picture + channel) * size * size,
-            map_gradient + (3 * picture + channel) * size * size,
-        )
+        texture = maps + (3 * picture + channel) * size * size
+        total = map_gradient + (3 * picture + channel) * size * size
         tl.atomic_add(total + upper_left, upstream * (1.0 - down) * (1.0 - across), mask=seen, sem="relaxed")
         tl.atomic_add(total + upper_right, upstream * (1.0 - down) * across, mask=seen, sem="relaxed")
         tl.atomic_add(total + lower_left, upstream * down * (1.0 - across), mask=seen, sem="relaxed")

@@ -1,15 +1,14 @@
 """Learning a category's base shape by matching distributions of renderings and photographs (paper 3.1)."""
 
 import gc
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pipeline.datasets.images import Images
 from pipeline.distributed import agree, average, average_losses, divide, share, whole, world
 from pipeline.errors import ConfigError, DataError
 from pipeline.geometry.camera import fill_picture
@@ -18,7 +17,6 @@ from pipeline.geometry.sphere import Sphere, build_sphere
 from pipeline.losses.chamfer import chamfer
 from pipeline.losses.feature_matching import feature_matching
 from pipeline.losses.smoothness import SmoothnessConfig, smoothness
-from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.pose_coordinates import Framing
 from pipeline.networks.scene_generator import (
     ConstraintConfig,
@@ -119,17 +117,10 @@ class SeedTrainer:
     """Train one seed's generators."""
 
     def __init__(
-        self,
-        config: BaseShapeConfig,
-        sphere: Sphere,
-        photographs: Photographs,
-        extractor: FeatureExtractor,
-        seed: int,
-        index: int,
+        self, config: BaseShapeConfig, sphere: Sphere, photographs: Photographs, seed: int, index: int
     ) -> None:
         device = sphere.directions.device
-        self.config, self.sphere, self.photographs, self.extractor = config, sphere, photographs, extractor
-        self.seed = seed
+        self.config, self.sphere, self.photographs, self.seed = config, sphere, photographs, seed
         dimensions = torch.tensor(config.initial_dimensions, device=device)
         with initialised(seed, "base_shape", index):
             self.scene = SceneGenerator(
@@ -157,7 +148,7 @@ class SeedTrainer:
         """Compare renderings, of which this process holds a share, with as many photographs (paper eqs. 2 to 4)."""
         total = len(self.photographs.images)
         index = torch.randint(total, (whole(len(images)),), generator=rng, device=rng.device)
-        (_, real), generated = self.photographs.batch(index), self.extractor(images)
+        (_, real), generated = self.photographs.batch(index), self.photographs.extractor(images)
         balance = self.config.reconstruction_balance
         losses = {"chamfer": chamfer(real, generated), "feature_matching": feature_matching(real, generated)}
         losses["reconstruction"] = balance * losses["chamfer"] + (1 - balance) * losses["feature_matching"]
@@ -176,7 +167,7 @@ class SeedTrainer:
         losses = self.reconstruction_loss(images, self.rng)
         total = losses["reconstruction"]
         if config.constraints.smoothness:
-            losses["smoothness"] = smoothness(scene.vertices, self.sphere.topology, config.smoothness).mean()
+            losses["smoothness"] = smoothness(scene.vertices, self.sphere.faces, config.smoothness).mean()
             total = total + losses["smoothness"]
         take_step(total, self.optimizer)
         return average_losses(losses)
@@ -208,25 +199,17 @@ class SeedTrainer:
 
 
 def learn_base_shape(
-    config: BaseShapeConfig,
-    images: Images,
-    memory: int,
-    extractor: FeatureExtractor,
-    seed: int,
-    checkpoints: Path,
-    key: str,
+    config: BaseShapeConfig, photographs: Photographs, seed: int, checkpoints: Sequence[Checkpoint]
 ) -> BaseShapes:
     """Learn one base shape a seed and pick the one whose renderings are closest to the photographs.
 
-    Photographs and their kept features may take `memory` bytes. Processes divide the seeds, each working alone, so that
-    their number changes no shape as long as each has as many threads; a single seed's batches are shared. Restart
-    states live under `checkpoints`; a killed call that is repeated returns the same bytes. Raises DataError for
-    a single photograph.
+    Processes divide the seeds, each working alone, so that their number changes no shape as long as each has as many
+    threads; a single seed's batches are shared. Each seed has its own restart state, one of `checkpoints`; a killed
+    call that is repeated returns the same bytes. Raises DataError for a single photograph.
     """
-    if len(images) < 2:
+    if len(photographs.images) < 2:
         raise DataError("base shapes are learned from what photographs have in common, but there is only one; add more")
-    sphere = build_sphere(config.subdivisions, next(extractor.parameters()).device)
-    photographs = Photographs(images, extractor, config.batch_size, memory)
+    sphere = build_sphere(config.subdivisions, photographs.images.device)
     schedule = Schedule(config.iterations, config.curve_every, config.checkpoint_every)
 
     # So many seeds that some process would wait for the last ones are trained part by part: the next part of a seed is
@@ -237,9 +220,9 @@ def learn_base_shape(
     def learn(number: int) -> Learned | None:
         gc.collect()  # a recorded step refers to its trainer, and keeps a GPU's memory as long
         part, index = divmod(number, config.seeds)
-        trainer = SeedTrainer(config, sphere, photographs, extractor, seed, index)
-        checkpoint, until = Checkpoint(checkpoints / str(index), key), config.iterations * (part + 1) // parts
-        curve = run_training(trainer, schedule, f"base shape {index}", checkpoint, until=until)
+        trainer = SeedTrainer(config, sphere, photographs, seed, index)
+        until = config.iterations * (part + 1) // parts
+        curve = run_training(trainer, schedule, f"base shape {index}", checkpoints[index], until=until)
         if part + 1 < parts:
             return None
         rows = [{"seed": index, **row} for row in curve.rows]

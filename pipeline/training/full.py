@@ -4,11 +4,9 @@ from pathlib import Path
 
 import torch
 
-from pipeline.datasets.images import Images
 from pipeline.errors import DataError
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
-from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.scene_generator import LearnedScenes
 from pipeline.rendering.renderer import Mesh
 from pipeline.tensor_files import load_tensors
@@ -33,9 +31,7 @@ def load_base(config: FullTrainingConfig, path: Path, device: torch.device) -> M
 
 def train_full(
     config: FullTrainingConfig,
-    images: Images,
-    memory: int,
-    extractor: FeatureExtractor,
+    photographs: Photographs,
     base: Mesh,
     scenes: LearnedScenes,
     seed: int,
@@ -43,15 +39,13 @@ def train_full(
 ) -> tuple[FullTrainer, Curve]:
     """Train the full model, going on from the checkpoint where there is one.
 
-    `scenes` are base-shape learning's generators, for the warm-up and first poses; `memory` is what photographs and
-    their kept features may take, in bytes. Raises DataError for a single photograph, and TrainingDiverged when the loss
-    is not finite.
+    `scenes` are base-shape learning's generators, for the warm-up and first poses. Raises DataError for a single
+    photograph, and TrainingDiverged when the loss is not finite.
     """
-    if len(images) < 2:
+    if len(photographs.images) < 2:
         raise DataError("full training compares photographs with each other, but there is only one; add more")
-    require_maps(config.exploration.map_weights, extractor, "train_full.exploration.map_weights")
-    photographs = Photographs(images, extractor, config.batch_size, memory)
-    trainer = FullTrainer(config, photographs, extractor, base, seed)
+    require_maps(config.exploration.map_weights, photographs.extractor, "train_full.exploration.map_weights")
+    trainer = FullTrainer(config, photographs, base, seed)
     schedule = Schedule(config.iterations, config.curve_every, config.checkpoint_every)
     prepare = trainer.starting_from(scenes) if config.model.two_stage else ()
     curve = run_training(trainer, schedule, "full training", checkpoint, prepare)

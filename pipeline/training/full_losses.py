@@ -7,7 +7,6 @@ from jaxtyping import Float
 from torch import Tensor
 
 from pipeline.distributed import share, whole
-from pipeline.geometry.topology import topology_of
 from pipeline.losses.copied_background import copied_background
 from pipeline.losses.feature_matching import feature_matching
 from pipeline.losses.image_distance import Features, feature_distance
@@ -39,7 +38,7 @@ class LossConfig:
     rendered_regression: NonNegative
     """Of poses in the random views that are rendered for view prior learning, which are known."""
     shape_regression: NonNegative
-    """Of vertices, in units of the cube; 0 where no shapes are searched for, because the estimated one is the best."""
+    """Of vertices, in units of the cube. Where no shapes are searched for, the estimate is the best, and the term 0."""
     rendered_shape_regression: NonNegative
     """The same in the random views, whose shapes are known: what a view does not show is read as it mostly is."""
     shape_prior: NonNegative
@@ -57,21 +56,7 @@ class LossConfig:
     @property
     def weights(self) -> dict[str, float]:
         """Weights by the names of terms; smoothness is weighted inside."""
-        return {
-            "reconstruction": 1.0,
-            "feature_matching": self.feature_matching,
-            "pose_regression": self.pose_regression,
-            "mirrored_regression": self.mirrored_regression,
-            "rendered_regression": self.rendered_regression,
-            "shape_regression": self.shape_regression,
-            "rendered_shape_regression": self.rendered_shape_regression,
-            "shape_prior": self.shape_prior,
-            "total_variation": self.total_variation,
-            "copied_background": self.copied_background,
-            "view_prior": self.view_prior,
-            "smoothness": 1.0,
-            "base_roughness": self.base_roughness,
-        }
+        return {**vars(self), "reconstruction": 1.0, "smoothness": 1.0}
 
 
 class FullLoss:
@@ -81,7 +66,6 @@ class FullLoss:
         self, config: LossConfig, model: FullModel, discriminator: ViewDiscriminator, extractor: FeatureExtractor
     ) -> None:
         self.config, self.model, self.discriminator, self.extractor = config, model, discriminator, extractor
-        self.topology = topology_of(model.faces)
 
     def terms(
         self, photographs: Features, estimate: Estimate, best: Best, rng: torch.Generator
@@ -116,7 +100,7 @@ class FullLoss:
         """Return what holds the estimated shapes and the base shape where pictures do not."""
         shapes = self.model.shapes
         if isinstance(shapes, OffsetShapes):
-            return {"smoothness": smoothness(shapes(shape), self.topology, self.config.smoothness).mean()}
+            return {"smoothness": smoothness(shapes(shape), self.model.faces, self.config.smoothness).mean()}
         deviation = shapes.around_fixed_base(shape) - shapes.base().detach()
         terms = {"shape_prior": deviation.square().sum(dim=-1).mean()}
         if shapes.base_offsets is not None:

@@ -14,7 +14,6 @@ from pipeline.errors import ConfigError
 from pipeline.geometry.camera import Pose
 from pipeline.losses.image_distance import Features
 from pipeline.networks.discriminator import ViewDiscriminator
-from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, FullModelConfig
 from pipeline.networks.pose_coordinates import POSE_COORDINATES
 from pipeline.networks.scene_generator import LearnedScenes
@@ -111,26 +110,19 @@ class FullTrainingConfig:
 class FullTrainer:
     """Hold everything that changes during full training, and change it one step at a time."""
 
-    def __init__(
-        self,
-        config: FullTrainingConfig,
-        photographs: Photographs,
-        extractor: FeatureExtractor,
-        base: Mesh,
-        seed: int,
-    ) -> None:
+    def __init__(self, config: FullTrainingConfig, photographs: Photographs, base: Mesh, seed: int) -> None:
         """Build networks, as precise as the extractor, optimiser and random streams from the seed."""
         device = photographs.images.device
-        self.config, self.photographs, self.extractor = config, photographs, extractor
+        self.config, self.photographs, self.extractor = config, photographs, photographs.extractor
         first = torch.arange(min(4 * config.batch_size, len(photographs.images)), device=device)
         images, features = photographs.batch(first)
         with initialised(seed, "full_model"):
             channels = sum(layer.shape[1] for layer in features)
-            self.model = FullModel(config.model, base, extractor.precision, channels).to(device)
+            self.model = FullModel(config.model, base, self.extractor.precision, channels).to(device)
         self.model.standardize(images, features)
         with initialised(seed, "view_discriminator"):
             self.discriminator = ViewDiscriminator(config.discriminator_width, POSE_COORDINATES).to(device)
-        self.loss = FullLoss(config.loss, self.model, self.discriminator, extractor)
+        self.loss = FullLoss(config.loss, self.model, self.discriminator, self.extractor)
         parameters = [*self.model.parameters(), *self.discriminator.parameters()]
         self.optimizer = adam(parameters, config.learning_rate, config.betas)
         self.rng = generator(seed, "full_training", device=device)

@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 from torch.nn import functional
-from torch.optim import Adam
 
 from pipeline.errors import DataError
 from pipeline.networks.hologan import HoloDiscriminator, HoloGANConfig, HoloGenerator
@@ -15,7 +14,7 @@ from pipeline.seeding import generator, initialised
 from pipeline.training.checkpoint import Checkpoint, Part
 from pipeline.training.curves import Curve
 from pipeline.training.loop import Schedule, run_training
-from pipeline.training.optimization import falling, set_learning_rate, take_step
+from pipeline.training.optimization import adam, falling, set_learning_rate, take_step
 from pipeline.training.viewpoints import ViewpointConfig, sample_viewpoints
 
 
@@ -55,7 +54,7 @@ class HoloGANTrainer:
             self.generator = HoloGenerator(config.network).to(device)
             self.discriminator = HoloDiscriminator(config.network).to(device)
         self.generator_optimizer, self.discriminator_optimizer = (
-            Adam(network.parameters(), lr=config.learning_rate, betas=config.betas, fused=True)
+            adam(network.parameters(), config.learning_rate, config.betas)
             for network in (self.generator, self.discriminator)
         )
         self.rng = generator(seed, "hologan", device=device)

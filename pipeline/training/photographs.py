@@ -15,7 +15,7 @@ class Photographs:
     """
 
     def __init__(self, images: Images, extractor: FeatureExtractor, batch_size: int, memory: int) -> None:
-        self.images, self._extractor = images, extractor
+        self.images, self.extractor = images, extractor
         size = sum(tensor.nbytes for tensor in (images[:1], *extract(extractor, images[:1], 1)))
         self._kept = extract(extractor, images[:], batch_size) if len(images) * size <= memory else None
 
@@ -28,7 +28,7 @@ class Photographs:
         """Return some photographs in [0, 1] and their features in single precision."""
         images = self.images[index]
         if self._kept is None:
-            features = extract(self._extractor, images, len(images))
+            features = extract(self.extractor, images, len(images))
         else:
             features = [layer[index] for layer in self._kept]
         return images.float() / 255, [layer.float() for layer in features]

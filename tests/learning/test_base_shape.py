@@ -18,6 +18,7 @@ from pipeline.rendering.renderer import Mesh, RendererConfig, Rendering, render
 from pipeline.seeding import generator, initialised
 from pipeline.training import base_shape
 from pipeline.training.base_shape import BaseShapeConfig, BaseShapes, SeedTrainer, learn_base_shape
+from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.photographs import Photographs
 from pipeline.training.viewpoints import AngleConfig, LightConfig, ViewpointConfig
 
@@ -64,7 +65,8 @@ def images() -> torch.Tensor:
 
 
 def learn(folder: Path, images: torch.Tensor, extractor: FeatureExtractor, config: BaseShapeConfig) -> BaseShapes:
-    return learn_base_shape(config, images, MEMORY, extractor, 0, folder, "key")
+    checkpoints = [Checkpoint(folder / str(index), "key") for index in range(config.seeds)]
+    return learn_base_shape(config, Photographs(images, extractor, config.batch_size, MEMORY), 0, checkpoints)
 
 
 def test_a_killed_run_resumes_to_the_same_bytes(
@@ -104,7 +106,7 @@ def test_seeds_differ_and_the_lowest_score_wins(
 def test_seeds_are_scored_on_the_same_batches(images: torch.Tensor, extractor: FeatureExtractor) -> None:
     sphere = build_sphere(CONFIG.subdivisions, torch.device("cpu"))
     photographs = Photographs(images, extractor, CONFIG.batch_size, MEMORY)
-    first, second = (SeedTrainer(CONFIG, sphere, photographs, extractor, 0, index) for index in range(2))
+    first, second = (SeedTrainer(CONFIG, sphere, photographs, 0, index) for index in range(2))
     assert first.score() != second.score()
     second.scene.load_state_dict(first.scene.state_dict())
     assert first.score() == second.score()
@@ -156,7 +158,7 @@ def test_fronts_are_drawn_larger(
     monkeypatch.setattr(base_shape, "render", watched)
     sphere = build_sphere(CONFIG.subdivisions, torch.device("cpu"))
     photographs = Photographs(images, extractor, CONFIG.batch_size, MEMORY)
-    SeedTrainer(ahead, sphere, photographs, extractor, 0, 0).step(0)
+    SeedTrainer(ahead, sphere, photographs, 0, 0).step(0)
     torch.testing.assert_close(drawn[0].scale, torch.full((CONFIG.batch_size,), 1.4))
 
 

@@ -59,7 +59,8 @@ def train_with_curve(
     config: FullTrainingConfig, folder: Path, count: int = 8, precision: torch.dtype = torch.float32
 ) -> tuple[FullTrainer, Curve]:
     (images, _), extractor = photographs(count), tiny_extractor().to(precision)
-    return train_full(config, images, MEMORY, extractor, base_mesh(), tiny_scenes(), 0, Checkpoint(folder, "key"))
+    pictures = Photographs(images, extractor, config.batch_size, MEMORY)
+    return train_full(config, pictures, base_mesh(), tiny_scenes(), 0, Checkpoint(folder, "key"))
 
 
 def state(trainer: FullTrainer) -> dict[str, Tensor]:
@@ -148,7 +149,7 @@ def test_training_that_dies_after_telling_ends_resumes_to_the_same_bytes(
 
 def test_ends_are_turned_as_told_and_elsewhere_as_read(monkeypatch: pytest.MonkeyPatch) -> None:
     (images, _), extractor = photographs(12), tiny_extractor()
-    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
+    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
     before, told = trainer.record.pose.clone(), torch.tensor([1.0, -1, 1, -1, 1, 1, -0.1, 1])
     trainer.visits += 1
     trainer.visits[7] = 0
@@ -164,7 +165,7 @@ def test_ends_are_turned_as_told_and_elsewhere_as_read(monkeypatch: pytest.Monke
 
 def test_ends_of_photographs_without_a_visit_are_not_turned(monkeypatch: pytest.MonkeyPatch) -> None:
     (images, _), extractor = photographs(12), tiny_extractor()
-    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
+    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
     before = trainer.record.pose.clone()
     monkeypatch.setattr("pipeline.training.full_trainer.tell_ends", lambda images, *_: -torch.ones(len(images)))
     trainer.turn_round(EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 8))
@@ -217,7 +218,7 @@ def test_diverged_training_keeps_the_last_checkpoint(tmp_path: Path) -> None:
 def test_curriculum_draws_different_photographs_from_the_first_ones() -> None:
     images, _ = photographs(16)
     extractor = tiny_extractor()
-    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
+    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
     draws = torch.stack([trainer.draw(iteration) for iteration in (0, 0, 0, 3, 3, 3, 99, 99, 99)])
     assert all(len(draw.unique()) == 4 for draw in draws)
     assert draws[:3].max() < 4
@@ -228,14 +229,14 @@ def test_curriculum_draws_different_photographs_from_the_first_ones() -> None:
 @pytest.mark.parametrize("iteration", [3, 5])
 def test_an_iteration_draws_from_as_many_photographs_as_the_curriculum_has_reached(iteration: int) -> None:
     (images, _), extractor = photographs(16), tiny_extractor()
-    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
+    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
     drawn = torch.cat([trainer.draw(iteration) for _ in range(40)]).unique()
     assert drawn.tolist() == list(range(int(TRAINING.photographs_per_iteration * (iteration + 1))))
 
 
 def test_every_visit_of_a_photograph_counts() -> None:
     (images, _), extractor = photographs(TRAINING.batch_size), tiny_extractor()
-    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), extractor, base_mesh(), 0)
+    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
     for iteration in range(2):
         trainer.step(iteration)
     assert trainer.visits.tolist() == [2] * TRAINING.batch_size
@@ -249,9 +250,7 @@ def test_photographs_on_disk_give_the_same_training(tmp_path: Path) -> None:
     results = [
         train_full(
             TRAINING,
-            pictures,
-            memory,
-            tiny_extractor(),
+            Photographs(pictures, tiny_extractor(), TRAINING.batch_size, memory),
             base_mesh(),
             tiny_scenes(),
             0,
@@ -269,9 +268,8 @@ def test_photographs_beyond_the_first_start_from_poses_that_the_networks_read(tm
     images, _ = photographs(8)
     assert TRAINING.first_poses is not None
     few = replace(TRAINING, iterations=0, first_poses=replace(TRAINING.first_poses, photographs=6))
-    trainer, _ = train_full(
-        few, images, MEMORY, tiny_extractor(), base_mesh(), tiny_scenes(), 0, Checkpoint(tmp_path, "key")
-    )
+    pictures = Photographs(images, tiny_extractor(), few.batch_size, MEMORY)
+    trainer, _ = train_full(few, pictures, base_mesh(), tiny_scenes(), 0, Checkpoint(tmp_path, "key"))
     read = read_poses(trainer.model, images)
     torch.testing.assert_close(trainer.record.pose[6:], read[6:])
     assert not torch.isclose(trainer.record.pose[:6], read[:6]).all(dim=1).any()
@@ -291,9 +289,8 @@ def test_training_finds_poses_and_reconstructs(tmp_path: Path) -> None:
     )
     images, _ = photographs(8)
     extractor = tiny_extractor()
-    trainer, curve = train_full(
-        config, images, MEMORY, extractor, base_mesh(), tiny_scenes(), 0, Checkpoint(tmp_path, "key")
-    )
+    pictures = Photographs(images, extractor, config.batch_size, MEMORY)
+    trainer, curve = train_full(config, pictures, base_mesh(), tiny_scenes(), 0, Checkpoint(tmp_path, "key"))
     first, last = curve.rows[0], curve.rows[-1]
     assert last["reconstruction"] < 0.85 * first["reconstruction"]
     features = [layer.float() for layer in extract(extractor, images, 8)]
@@ -364,7 +361,7 @@ def train_with_known_poses(images: Tensor, poses: Tensor, iterations: int) -> Fu
         exploration=replace(TRAINING.exploration, shapes=None, **dict.fromkeys(searched, 0)),
         photographs_per_iteration=float(len(images)),
     )
-    trainer = FullTrainer(config, Photographs(images, extractor, 4, MEMORY), extractor, base_mesh(), 0)
+    trainer = FullTrainer(config, Photographs(images, extractor, 4, MEMORY), base_mesh(), 0)
     trainer.record.pose.copy_(poses)
     for iteration in range(iterations):
         trainer.step(iteration)

@@ -22,7 +22,7 @@ def trainer_of(index: int = 0, **changes: object) -> SeedTrainer:
     config = replace(CONFIG, **changes)  # pyright: ignore[reportArgumentType]
     extractor, sphere = tiny_extractor(), build_sphere(config.subdivisions, torch.device("cpu"))
     pictures = photographs(8)[0][..., ::2, ::2]
-    return SeedTrainer(config, sphere, Photographs(pictures, extractor, 4, 2**30), extractor, 0, index)
+    return SeedTrainer(config, sphere, Photographs(pictures, extractor, 4, 2**30), 0, index)
 
 
 def test_both_distances_are_balanced_and_smoothness_is_added(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -35,7 +35,7 @@ def trainer_of(*, two_stage: bool = True) -> FullTrainer:
     images, _ = photographs(4)
     extractor = tiny_extractor()
     config = replace(TRAINING, model=replace(TRAINING.model, two_stage=two_stage))
-    trainer = FullTrainer(config, Photographs(images, extractor, 4, 2**30), extractor, base_mesh(), 0)
+    trainer = FullTrainer(config, Photographs(images, extractor, 4, 2**30), base_mesh(), 0)
     rng = generator(0)
     with torch.no_grad():
         for parameter in trainer.model.shape_decoder.parameters():
@@ -125,7 +125,7 @@ def test_features_of_other_views_are_taken_where_shapes_are_read_off_them(
     images, _ = photographs(4)
     extractor = tiny_extractor()
     config = replace(TRAINING, model=replace(TRAINING.model, shapes_from=source))
-    trainer = FullTrainer(config, Photographs(images, extractor, 4, 2**30), extractor, base_mesh(), 0)
+    trainer = FullTrainer(config, Photographs(images, extractor, 4, 2**30), base_mesh(), 0)
     called: list[int] = []
     extractor.register_forward_hook(lambda *_: called.append(1))
     images, features = trainer.photographs.batch(torch.arange(4))

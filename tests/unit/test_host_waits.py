@@ -114,7 +114,7 @@ def full_trainer(
     images = photographs(4)[0][..., ::4, ::4].to(DEVICE)
     directions, faces = (part.to(DEVICE) for part in icosphere(1))
     extractor, base = tiny_extractor().to(DEVICE), Mesh(directions[None] / 2, faces, directions)
-    return FullTrainer(config, Photographs(images, extractor, 4, memory=2**30), extractor, base, 0)
+    return FullTrainer(config, Photographs(images, extractor, 4, memory=2**30), base, 0)
 
 
 @pytest.mark.parametrize(
@@ -177,7 +177,7 @@ def test_an_iteration_of_base_shape_learning_waits_for_nothing(monkeypatch: pyte
     extractor = tiny_extractor().to(DEVICE)
     images = photographs(4)[0][..., ::2, ::2].to(DEVICE)
     features = Photographs(images, extractor, 4, memory=2**30)
-    trainer = SeedTrainer(config, build_sphere(config.subdivisions, DEVICE), features, extractor, 0, 0)
+    trainer = SeedTrainer(config, build_sphere(config.subdivisions, DEVICE), features, 0, 0)
     trainer.step(0)
     draw_with_triton(monkeypatch)
     with no_waits():

@@ -1,31 +1,39 @@
 """Shapes of the full model."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 
 from pipeline.errors import ConfigError
 from pipeline.geometry.symmetry import mirror_index, reflect
-from pipeline.networks.shapes import BaseLearningConfig, FreeFormShapes, OffsetShapes, ShapeDecoder
+from pipeline.networks.shapes import BaseLearningConfig, FreeFormShapes, OffsetShapes, ShapeConfig, ShapeDecoder
 from pipeline.seeding import generator, initialised
 from tests.tiny_full_model import base_mesh
 
 BASE = base_mesh().vertices[0]
 
 
+CONFIG = ShapeConfig(
+    mirror=True,
+    grid_reach=0.1,
+    dimension_reach=0.5,
+    base_learning=BaseLearningConfig(4.0, 2.0, mirror=True),
+    offset_reach=0.1,
+)
+
+
 def free_form(mirror: bool) -> FreeFormShapes:
-    return FreeFormShapes(
-        base_mesh(),
-        grid_reach=0.1,
-        dimension_reach=0.5,
-        mirror=mirror,
-        base_learning=BaseLearningConfig(4.0, 2.0, mirror=True),
-    )
+    return FreeFormShapes(base_mesh(), replace(CONFIG, mirror=mirror))
+
+
+def offset(mirror: bool) -> OffsetShapes:
+    return OffsetShapes(base_mesh(), replace(CONFIG, mirror=mirror))
 
 
 def test_zero_parameters_are_the_base_shape() -> None:
-    for shapes in (free_form(mirror=True), OffsetShapes(BASE, 0.1, mirror=True)):
+    for shapes in (free_form(mirror=True), offset(mirror=True)):
         vertices = shapes(torch.zeros(2, shapes.parameter_count))
         torch.testing.assert_close(vertices, BASE.expand(2, -1, -1), atol=1e-6, rtol=0)
 
@@ -50,8 +58,8 @@ def test_an_asymmetric_base_shape_learns_without_mirroring_alone() -> None:
     asymmetric = mesh._replace(directions=slanted)
     for other in (asymmetric, mesh._replace(vertices=mesh.vertices + 0.1 * mesh.vertices[..., [1, 0, 2]])):
         with pytest.raises(ConfigError, match=r"base_learning\.mirror"):
-            FreeFormShapes(other, 0.1, 0.5, mirror=True, base_learning=BaseLearningConfig(4.0, 2.0, mirror=True))
-    shapes = FreeFormShapes(asymmetric, 0.1, 0.5, mirror=True, base_learning=BaseLearningConfig(4.0, 2.0, mirror=False))
+            FreeFormShapes(other, CONFIG)
+    shapes = FreeFormShapes(asymmetric, replace(CONFIG, base_learning=BaseLearningConfig(4.0, 2.0, mirror=False)))
     assert shapes.base_offsets is not None
     with torch.no_grad():
         shapes.base_offsets.parameters_by_vertex[int(BASE[:, 0].argmax()), 1] = 0.1
@@ -64,8 +72,7 @@ def test_surfaces_that_touch_can_learn() -> None:
     on_plane = (mesh.directions[:, 0].abs() < 1e-6).nonzero().flatten()
     vertices = mesh.vertices.clone()
     vertices[0, on_plane[0]] = vertices[0, on_plane[1]]
-    learning = BaseLearningConfig(4.0, 2.0, mirror=True)
-    shapes = FreeFormShapes(mesh._replace(vertices=vertices), 0.1, 0.5, mirror=True, base_learning=learning)
+    shapes = FreeFormShapes(mesh._replace(vertices=vertices), CONFIG)
     torch.testing.assert_close(shapes.base(), vertices[0])
 
 
@@ -106,7 +113,7 @@ def test_a_base_shape_stays_in_the_unit_cube() -> None:
 
 
 def test_without_learning_the_base_shape_has_nothing_to_learn() -> None:
-    shapes = FreeFormShapes(base_mesh(), grid_reach=0.1, dimension_reach=0.5, mirror=True, base_learning=None)
+    shapes = FreeFormShapes(base_mesh(), replace(CONFIG, base_learning=None))
     assert not list(shapes.parameters())
     assert torch.equal(shapes.base(), BASE)
 
@@ -130,7 +137,7 @@ def test_one_control_point_moves_its_own_corner_most() -> None:
 
 def test_mirrored_shapes_are_symmetric_and_fit_the_unit_cube() -> None:
     mirror = mirror_index(BASE)
-    for shapes in (free_form(mirror=True), OffsetShapes(BASE, 0.1, mirror=True)):
+    for shapes in (free_form(mirror=True), offset(mirror=True)):
         vertices = shapes(torch.randn(4, shapes.parameter_count, generator=generator(0)))
         torch.testing.assert_close(reflect(vertices)[:, mirror], vertices, atol=1e-6, rtol=0)
         torch.testing.assert_close((vertices.amax(1) - vertices.amin(1)).amax(1), torch.ones(4))
@@ -138,13 +145,13 @@ def test_mirrored_shapes_are_symmetric_and_fit_the_unit_cube() -> None:
 
 def test_without_mirroring_shapes_are_not_symmetric() -> None:
     mirror = mirror_index(BASE)
-    for shapes in (free_form(mirror=False), OffsetShapes(BASE, 0.1, mirror=False)):
+    for shapes in (free_form(mirror=False), offset(mirror=False)):
         vertices = shapes(torch.randn(4, shapes.parameter_count, generator=generator(0)))
         assert (reflect(vertices)[:, mirror] - vertices).abs().amax() > 0.02
 
 
 def test_random_ellipsoids_are_smooth() -> None:
-    shapes = OffsetShapes(BASE, 0.1, mirror=True)
+    shapes = offset(mirror=True)
     vertices = shapes(shapes.draw(1, 0.3, generator(0)))[0]
     stretch = (vertices.amax(0) - vertices.amin(0)) / (BASE.amax(0) - BASE.amin(0))
     middle = (vertices.amax(0) + vertices.amin(0)) / 2 - stretch * (BASE.amax(0) + BASE.amin(0)) / 2
@@ -153,7 +160,7 @@ def test_random_ellipsoids_are_smooth() -> None:
 
 
 def test_random_ellipsoids_are_never_inside_out() -> None:
-    shapes, (faces,) = OffsetShapes(BASE, 0.1, mirror=True), (base_mesh().faces,)
+    shapes, (faces,) = offset(mirror=True), (base_mesh().faces,)
     spreads = torch.full((500, 1), 0.5).index_fill(0, torch.arange(250), 0.01)
     corners = shapes(shapes.draw(500, spreads, generator(0)))[:, faces].unbind(dim=2)
     volumes = (corners[0] * torch.linalg.cross(corners[1], corners[2])).sum(dim=(1, 2)) / 6

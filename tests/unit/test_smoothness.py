@@ -5,7 +5,6 @@ import torch
 from torch import Tensor
 
 from pipeline.geometry.icosphere import icosphere
-from pipeline.geometry.topology import topology_of
 from pipeline.losses.smoothness import SmoothnessConfig, smoothness
 
 TETRAHEDRON = torch.tensor([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
@@ -46,7 +45,6 @@ def rough_sphere() -> tuple[Tensor, Tensor]:
 
 def test_each_term_equals_the_naive_loops(rough_sphere: tuple[Tensor, Tensor]) -> None:
     vertices, faces = rough_sphere
-    topology = topology_of(faces)
     for b in range(2):
         norm, norm_squared, angle, angle_squared = naive_terms(vertices[b], faces)
         terms = {
@@ -56,22 +54,19 @@ def test_each_term_equals_the_naive_loops(rough_sphere: tuple[Tensor, Tensor]) -
             "angle_hinge_weight": angle**2,
         }
         for name, expected in terms.items():
-            torch.testing.assert_close(
-                smoothness(vertices, topology, only(**{name: 1.0}))[b], expected, rtol=1e-6, atol=0
-            )
+            torch.testing.assert_close(smoothness(vertices, faces, only(**{name: 1.0}))[b], expected, rtol=1e-6, atol=0)
 
 
 def test_angles_of_regular_tetrahedron() -> None:
-    topology = topology_of(TETRAHEDRON.flip(1))
     expected = 6 * math.acos(-1 / 3) ** 2
-    loss = smoothness(REGULAR[None], topology, only(angle_squared_weight=1.0))
+    loss = smoothness(REGULAR[None], TETRAHEDRON.flip(1), only(angle_squared_weight=1.0))
     torch.testing.assert_close(loss.item(), expected)
 
 
 def test_amounts_within_the_tolerance_cost_nothing(rough_sphere: tuple[Tensor, Tensor]) -> None:
     vertices, faces = rough_sphere
     config = only(laplacian_hinge_weight=1.0, laplacian_tolerance=1e3, angle_hinge_weight=1.0, angle_tolerance=1e3)
-    assert smoothness(vertices, topology_of(faces), config).tolist() == [0, 0]
+    assert smoothness(vertices, faces, config).tolist() == [0, 0]
 
 
 def test_what_exceeds_the_tolerance_costs_its_square(rough_sphere: tuple[Tensor, Tensor]) -> None:
@@ -79,15 +74,14 @@ def test_what_exceeds_the_tolerance_costs_its_square(rough_sphere: tuple[Tensor,
     norm, _, angle, _ = naive_terms(vertices[0], faces)
     for kind, amount in (("laplacian", norm), ("angle", angle)):
         config = only(**{f"{kind}_hinge_weight": 1.0, f"{kind}_tolerance": amount.item() / 3})
-        found = smoothness(vertices[:1], topology_of(faces), config)[0]
+        found = smoothness(vertices[:1], faces, config)[0]
         torch.testing.assert_close(found, (amount * 2 / 3) ** 2, rtol=1e-6, atol=0)
 
 
 def test_gradient(rough_sphere: tuple[Tensor, Tensor]) -> None:
     vertices, faces = rough_sphere
     config = SmoothnessConfig(1.0, 1.0, 0.1, 1.0, 0.01, 0.1)
-    topology = topology_of(faces)
-    assert torch.autograd.gradcheck(lambda v: smoothness(v, topology, config), vertices[:1].requires_grad_())
+    assert torch.autograd.gradcheck(lambda v: smoothness(v, faces, config), vertices[:1].requires_grad_())
 
 
 def test_gradient_is_finite_on_collapsed_polygons() -> None:
@@ -95,7 +89,7 @@ def test_gradient_is_finite_on_collapsed_polygons() -> None:
     flattened = vertices * torch.tensor([1.0, 0.0, 1.0])
     collapsed = torch.zeros_like(vertices)
     batch = torch.stack([flattened, collapsed]).requires_grad_()
-    loss = smoothness(batch, topology_of(faces), SmoothnessConfig(1.0, 1.0, 0.0, 1.0, 1.0, 0.0))
+    loss = smoothness(batch, faces, SmoothnessConfig(1.0, 1.0, 0.0, 1.0, 1.0, 0.0))
     loss.sum().backward()
     assert loss.isfinite().all()
     assert batch.grad is not None

@@ -4,7 +4,7 @@ from torch import Tensor
 
 from pipeline.errors import MeshError
 from pipeline.geometry.icosphere import icosphere
-from pipeline.geometry.topology import euler_characteristic, topology_of
+from pipeline.geometry.topology import euler_characteristic, polygon_areas, topology_of
 
 TETRAHEDRON = torch.tensor([[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])
 
@@ -55,3 +55,18 @@ def test_mesh_that_is_not_closed_is_refused(faces: Tensor) -> None:
 def test_a_mesh_has_faces() -> None:
     with pytest.raises(MeshError, match="no faces"):
         topology_of(TETRAHEDRON[:0])
+
+
+def test_gradients_of_areas_are_the_same_bytes_every_time() -> None:
+    vertices, faces = icosphere(4)
+    weights, threads = torch.randn(len(faces), generator=torch.Generator().manual_seed(0)), torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        found = []
+        for _ in range(30):
+            leaf = vertices.clone().requires_grad_()
+            (weights * polygon_areas(leaf, faces)).sum().backward()
+            found.append(leaf.grad)
+    finally:
+        torch.set_num_threads(threads)
+    assert all(torch.equal(found[0], gradient) for gradient in found)
