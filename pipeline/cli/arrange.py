@@ -28,17 +28,14 @@ ORIGINALS = "originals.csv"
 
 
 class Arranged(NamedTuple):
-    """How many photographs each split got.
-
-    Attributes:
-        left_out: why others got none, a sentence each.
-        passed_over: how many files there are of each ending that are no photographs.
-    """
+    """How many photographs each split got."""
 
     train: int
     test: int
     left_out: list[str]
+    """Why others got none, a sentence each."""
     passed_over: Mapping[str, int]
+    """How many files there are of each ending that are no photographs."""
 
 
 def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged:

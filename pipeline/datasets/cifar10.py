@@ -25,13 +25,10 @@ CATEGORIES = ("airplane", "automobile", "bird", "cat", "deer", "dog", "frog", "h
 
 @dataclass(frozen=True)
 class Cifar10Config:
-    """What archive is expected.
-
-    Attributes:
-        md5: of the archive, as its authors publish it.
-    """
+    """What archive is expected."""
 
     md5: str
+    """Of the archive, as its authors publish it."""
 
 
 class PlainUnpickler(pickle.Unpickler):

@@ -20,15 +20,12 @@ ENDINGS = {".jpg", ".jpeg", ".png", ".bmp", ".webp", ".tif", ".tiff", ".heic", "
 
 @dataclass(frozen=True)
 class FolderConfig:
-    """What becomes of the pictures.
-
-    Attributes:
-        size: pixels a side.
-        fit: how a picture becomes square: `crop` fits its short side, `pad` its long side.
-    """
+    """What becomes of the pictures."""
 
     size: Count
+    """Pixels a side."""
     fit: Fit
+    """How a picture becomes square: `crop` fits its short side, `pad` its long side."""
 
 
 def read_folder(path: Path, config: FolderConfig) -> Iterator[Picture]:

@@ -28,15 +28,12 @@ VOC_LISTS = {"train": "VOC2012/ImageSets/Main/train.txt", "test": "VOC2012/Image
 
 @dataclass(frozen=True)
 class Pascal3dConfig:
-    """What becomes of the pictures.
-
-    Attributes:
-        size: pixels a side; smaller objects are enlarged.
-        categories: names of those that are read.
-    """
+    """What becomes of the pictures."""
 
     size: Count
+    """Pixels a side; smaller objects are enlarged."""
     categories: tuple[str, ...]
+    """Names of those that are read."""
 
 
 class Key(NamedTuple):

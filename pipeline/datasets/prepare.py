@@ -27,18 +27,15 @@ KINDS: Mapping[str, type[Pictures]] = {
 
 @dataclass(frozen=True)
 class PrepareConfig:
-    """Say where pictures come from and what becomes of them.
-
-    Attributes:
-        kind: what the source is: pictures that are made, the official archive of CIFAR-10, photographs in a folder or
-            archive, the same with viewpoints for evaluation, or the official release of PASCAL3D+.
-        source: path of the folder or archive; for the toybox, of the code that makes it.
-        pictures: what becomes of them.
-    """
+    """Say where pictures come from and what becomes of them."""
 
     kind: str
+    """What the source is: pictures that are made, the official archive of CIFAR-10, photographs in a folder or archive,
+    the same with viewpoints for evaluation, or the official release of PASCAL3D+."""
     source: Path
+    """Path of the folder or archive; for the toybox, of the code that makes it."""
     pictures: Pictures
+    """What becomes of them."""
 
     @property
     def fit(self) -> Fit:

@@ -14,17 +14,14 @@ OFFICIAL_CIFAR10 = "cifar-10-python.tar.gz"
 
 
 class Contents(NamedTuple):
-    """What a source holds.
-
-    Attributes:
-        path: of the source.
-        kind: how `prepare_data` reads it.
-        categories: those that have pictures; empty for PASCAL3D+, of which parameters name those that are read.
-    """
+    """What a source holds."""
 
     path: Path
+    """Of the source."""
     kind: Literal["cifar10", "folder", "posed_folder", "pascal3d"]
+    """How `prepare_data` reads it."""
     categories: frozenset[str]
+    """Those that have pictures; empty for PASCAL3D+, of which parameters name those that are read."""
 
 
 def survey(path: Path) -> Contents:

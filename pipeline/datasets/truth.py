@@ -10,30 +10,30 @@ from jaxtyping import Float, Int, UInt8
 class Viewpoints(NamedTuple):
     """What is known of photographs cut to their objects, in the conventions of `pipeline.geometry.camera.Pose`."""
 
-    azimuth: Float[np.ndarray, "B"]
+    azimuth: Float[np.ndarray, " B"]
     """Radians."""
-    elevation: Float[np.ndarray, "B"]
+    elevation: Float[np.ndarray, " B"]
     """Radians."""
-    roll: Float[np.ndarray, "B"]
+    roll: Float[np.ndarray, " B"]
     """Radians."""
     center: Float[np.ndarray, "B 2"]
     """0: the middle of the object's box is that of the picture."""
-    scale: Float[np.ndarray, "B"]
+    scale: Float[np.ndarray, " B"]
     """NaN: how large the object is in the reference camera is not known."""
 
 
 class GroundTruth(NamedTuple):
     """What is true of one category's pictures, in the conventions of `pipeline.geometry.camera.Pose`."""
 
-    azimuth: Float[np.ndarray, "B"]
+    azimuth: Float[np.ndarray, " B"]
     """Radians."""
-    elevation: Float[np.ndarray, "B"]
+    elevation: Float[np.ndarray, " B"]
     """Radians."""
-    roll: Float[np.ndarray, "B"]
+    roll: Float[np.ndarray, " B"]
     """Radians."""
     center: Float[np.ndarray, "B 2"]
     """Where the world's origin, the middle of the object's cube, falls in the picture, in ndc."""
-    scale: Float[np.ndarray, "B"]
+    scale: Float[np.ndarray, " B"]
     """Factor on the size that the reference camera gives."""
     masks: UInt8[np.ndarray, "B H W"]
     """1 where the object covers at least half of the pixel."""

@@ -21,36 +21,30 @@ STAGES = ("predicted", "tuned")
 
 
 class Snapshot(NamedTuple):
-    """The test pictures as the model explains them, at one moment.
-
-    Attributes:
-        pose: camera pose in the learned frame.
-        vertices: learned frame, unit cube.
-        backgrounds: what is behind the object, in [0, 1].
-        images: the rendering, in [0, 1].
-    """
+    """The test pictures as the model explains them, at one moment."""
 
     pose: Pose
+    """Camera pose in the learned frame."""
     vertices: Float[Tensor, "B V 3"]
+    """Learned frame, unit cube."""
     backgrounds: Float[Tensor, "B 3 H W"]
+    """What is behind the object, in [0, 1]."""
     images: Float[Tensor, "B 3 H W"]
+    """The rendering, in [0, 1]."""
 
 
 class Reconstructions(NamedTuple):
-    """Reconstructions before (`predicted`) and after (`tuned`) fine-tuning, and what both share.
-
-    Attributes:
-        textures: one map per picture, in [0, 1].
-        directions: each vertex's point on the unit sphere, the texture domain.
-        test_index: position of each picture in the test split.
-    """
+    """Reconstructions before (`predicted`) and after (`tuned`) fine-tuning, and what both share."""
 
     predicted: Snapshot
     tuned: Snapshot
     textures: Float[Tensor, "B 3 T T"]
+    """One map per picture, in [0, 1]."""
     faces: Int[Tensor, "F 3"]
     directions: Float[Tensor, "V 3"]
+    """Each vertex's point on the unit sphere, the texture domain."""
     test_index: Int[Tensor, " B"]
+    """Position of each picture in the test split."""
 
     def at(self, stage: str) -> Snapshot:
         """Return what one of `STAGES` left."""

@@ -30,15 +30,12 @@ NO_PAIR = "No good initial image pair found"
 
 @dataclass(frozen=True)
 class ColmapConfig:
-    """How COLMAP is tried; everything else is its default.
-
-    Attributes:
-        photographs: how many, from the start of the training split; all pairs of them are matched.
-        enlargement: factor on the photographs' size, bicubic; the paper names none.
-    """
+    """How COLMAP is tried; everything else is its default."""
 
     photographs: Several
+    """How many, from the start of the training split; all pairs of them are matched."""
     enlargement: Count
+    """Factor on the photographs' size, bicubic; the paper names none."""
 
 
 def run_colmap(

@@ -29,56 +29,47 @@ SPLITS = {"predicted": "test", "tuned": "test_tuned"}
 
 @dataclass(frozen=True)
 class EvaluateConfig:
-    """How a run is measured.
-
-    Attributes:
-        seed: of random guesses, bootstrapped medians and points drawn from surfaces.
-        shape: how finely shapes are compared.
-        chance_draws: random guesses a picture for the chance rows.
-        batch_size: pictures in one pass through the feature extractor.
-        multiview: how consistent objects are from all around.
-    """
+    """How a run is measured."""
 
     seed: Natural
+    """Of random guesses, bootstrapped medians and points drawn from surfaces."""
     shape: ShapeMetricsConfig
+    """How finely shapes are compared."""
     chance_draws: Count
+    """Random guesses a picture for the chance rows."""
     batch_size: Count
+    """Pictures in one pass through the feature extractor."""
     multiview: MultiviewConfig
+    """How consistent objects are from all around."""
 
 
 class ChainResult(NamedTuple):
-    """What the chain learned, all in the learned frame.
-
-    Attributes:
-        training_pose: recorded best poses of the training pictures that were visited.
-        training_index: position of each of these pictures in the training split.
-        base: base shape after remeshing, with its faces.
-        final_base: base shape after full training, in which it may go on learning, with the faces of the
-            reconstructions; None in single-stage training, which has none.
-        renderer: camera and size of the reconstructions, for their masks.
-    """
+    """What the chain learned, all in the learned frame."""
 
     reconstructions: Reconstructions
     training_pose: Pose
+    """Recorded best poses of the training pictures that were visited."""
     training_index: Int[Tensor, " N"]
+    """Position of each of these pictures in the training split."""
     base: Float[Tensor, "V 3"]
+    """Base shape after remeshing, with its faces."""
     final_base: Float[Tensor, "V 3"] | None
+    """Base shape after full training, in which it may go on learning, with the faces of the reconstructions; None in
+    single-stage training, which has none."""
     base_faces: Int[Tensor, "F 3"]
     renderer: RendererConfig
+    """Camera and size of the reconstructions, for their masks."""
 
 
 class PoseEstimates(NamedTuple):
-    """Poses in a frame that may be turned about the vertical axis against that of the truth.
-
-    Attributes:
-        training: of training pictures.
-        training_index: position of each of these pictures in the training split.
-        test: of all test pictures, by the section of the metrics that they are measured in.
-    """
+    """Poses in a frame that may be turned about the vertical axis against that of the truth."""
 
     training: Pose
+    """Of training pictures."""
     training_index: Int[Tensor, " N"]
+    """Position of each of these pictures in the training split."""
     test: Mapping[str, Pose]
+    """Of all test pictures, by the section of the metrics that they are measured in."""
 
 
 def evaluate_images(

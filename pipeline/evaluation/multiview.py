@@ -25,25 +25,23 @@ from pipeline.networks.full_model import FullModel
 from pipeline.ranges import Count, Elevation, Positive, Range, Several
 
 GRID = 4
+"""Positions a side that feature maps are pooled to: coarse enough for a linear regression, and cheap to keep."""
 
 
 @dataclass(frozen=True)
 class MultiviewConfig:
-    """How objects are looked at, and how azimuths are read off their pictures.
-
-    Attributes:
-        objects: how many are looked at, from the start of the test split.
-        step: degrees of azimuth between neighbouring views, from 0 to less than a full turn.
-        elevation: of all views, in degrees.
-        ridge: regularization of the azimuth regressor, as a share of the mean squared norm of its features.
-        examples: objects in the picture of a baseline's views.
-    """
+    """How objects are looked at, and how azimuths are read off their pictures."""
 
     objects: Several
+    """How many are looked at, from the start of the test split."""
     step: Annotated[int, Range(1, 359)]
+    """Degrees of azimuth between neighbouring views, from 0 to less than a full turn."""
     elevation: Elevation
+    """Of all views, in degrees."""
     ridge: Positive
+    """Regularization of the azimuth regressor, as a share of the mean squared norm of its features."""
     examples: Count
+    """Objects in the picture of a baseline's views."""
 
     def azimuths(self) -> Float[Tensor, " K"]:
         """List the commanded azimuths in radians."""

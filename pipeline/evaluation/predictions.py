@@ -36,30 +36,24 @@ class Counts(NamedTuple):
 
 
 class Meshes(NamedTuple):
-    """One closed mesh per test picture, in the frame of the poses.
-
-    Attributes:
-        vertices: as many for each picture; those that a mesh does not use are at the place of one that it uses.
-        faces: those that all meshes share, or one entry a mesh.
-    """
+    """One closed mesh per test picture, in the frame of the poses."""
 
     vertices: Float[Tensor, "N V 3"]
+    """As many for each picture; those that a mesh does not use are at the place of one that it uses."""
     faces: Sequence[Int[Tensor, "_ 3"]]
+    """Those that all meshes share, or one entry a mesh."""
 
 
 class Predictions(NamedTuple):
-    """What a file has of each kind, or None where it has not.
-
-    Attributes:
-        poses: centre and scale are not known.
-        masks: of all test pictures.
-        images: reconstructions of all test pictures.
-    """
+    """What a file has of each kind, or None where it has not."""
 
     poses: PoseEstimates | None
+    """Centre and scale are not known."""
     masks: Bool[Tensor, "N H W"] | None
+    """Of all test pictures."""
     meshes: Meshes | None
     images: UInt8[Tensor, "N H W 3"] | None
+    """Reconstructions of all test pictures."""
 
 
 class _Form(NamedTuple):

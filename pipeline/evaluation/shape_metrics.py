@@ -19,15 +19,12 @@ from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
 @dataclass(frozen=True)
 class ShapeMetricsConfig:
-    """How finely shapes are compared.
-
-    Attributes:
-        voxel_resolution: voxels along each side of the unit cube.
-        surface_points: points drawn from each surface for the Chamfer distance.
-    """
+    """How finely shapes are compared."""
 
     voxel_resolution: Count
+    """Voxels along each side of the unit cube."""
     surface_points: Count
+    """Points drawn from each surface for the Chamfer distance."""
 
 
 class TrueShapes:

@@ -27,54 +27,48 @@ from pipeline.seeding import generator
 
 @dataclass(frozen=True)
 class ReportConfig:
-    """What the page shows.
-
-    Attributes:
-        seed: of the random choice of examples.
-        examples: random pictures shown, and as many of the best.
-        stepped: of the random pictures, how many are shown in 50-degree steps.
-        frames: renderings in one turn of a turntable, which `kato3d reconstruct` writes.
-        other_view: turn in degrees from the estimated view to the other view of an example.
-        view: size and elevation of renderings.
-    """
+    """What the page shows."""
 
     seed: Natural
+    """Of the random choice of examples."""
     examples: Count
+    """Random pictures shown, and as many of the best."""
     stepped: Count
+    """Of the random pictures, how many are shown in 50-degree steps."""
     frames: Frames
+    """Renderings in one turn of a turntable, which `kato3d reconstruct` writes."""
     other_view: float
+    """Turn in degrees from the estimated view to the other view of an example."""
     view: ViewConfig
+    """Size and elevation of renderings."""
 
 
 class ReportInputs(NamedTuple):
-    """What the chain produced.
-
-    Attributes:
-        drawn: whether the project itself draws the photographs, so that figures may show them.
-        framing: of the photographs; `box` lets objects fill their other views too.
-        base: base shape of the full model, with the faces of the reconstructions; None after single-stage training.
-        figures: of `evaluate`.
-        stage_figures: metrics of the other stages, by the stage's name.
-        curves: columns of each training's curve, by the stage's name.
-        table: one row a picture, as `evaluate` wrote it.
-        seeds: base shapes of all seeds, with their faces, their scores and the one that was chosen.
-    """
+    """What the chain produced."""
 
     run: str
     photographs: Float[Tensor, "B 3 H W"]
     drawn: bool
+    """Whether the project itself draws the photographs, so that figures may show them."""
     reconstructions: Reconstructions
     seeds: Float[Tensor, "S V 3"]
+    """Base shapes of all seeds, with their faces, their scores and the one that was chosen."""
     seed_faces: Int[Tensor, "F 3"]
     seed_scores: Float[Tensor, " S"]
     chosen_seed: int
     base: Float[Tensor, "V 3"] | None
+    """Base shape of the full model, with the faces of the reconstructions; None after single-stage training."""
     camera: CameraConfig
     framing: Framing
+    """Of the photographs; `box` lets objects fill their other views too."""
     figures: Mapping[str, Any]
+    """Of `evaluate`."""
     stage_figures: Mapping[str, Mapping[str, Any]]
+    """Metrics of the other stages, by the stage's name."""
     curves: Mapping[str, Mapping[str, list[str]]]
+    """Columns of each training's curve, by the stage's name."""
     table: Mapping[str, list[str]]
+    """One row a picture, as `evaluate` wrote it."""
 
 
 def write_report(inputs: ReportInputs, config: ReportConfig, page_folder: Path, figure_folder: Path) -> None:

@@ -9,8 +9,8 @@ from torch.nn import functional
 
 from pipeline.rendering.lighting import vertex_normals
 
-# Barycentric coordinates below this count as 0: the pole lies on an edge or a corner.
 ON_EDGE = 1e-5
+"""Barycentric coordinates below this count as 0: the pole lies on an edge or a corner."""
 
 
 class UnwrappedMesh(NamedTuple):
@@ -29,12 +29,12 @@ class Seam(NamedTuple):
 
     faces: Int[Tensor, "F 3"]
     """Of the whole mesh."""
-    mixture: Float[Tensor, "W V"]
+    mixture: Float[Tensor, "new_vertices V"]
     """How much of each vertex of the whole mesh is in each of its vertices and poles."""
-    origins: Int[Tensor, " U"]
+    origins: Int[Tensor, " cut_vertices"]
     """Which of these each vertex of the cut mesh copies to the last bit, so that readers can join the copies."""
-    uv: Float[Tensor, "U 2"]
-    cut_faces: Int[Tensor, "G 3"]
+    uv: Float[Tensor, "cut_vertices 2"]
+    cut_faces: Int[Tensor, "cut_faces 3"]
 
     def unwrap(self, vertices: Float[Tensor, "V 3"], texture_size: int) -> UnwrappedMesh:
         """Cut a mesh open for a texture of `texture_size` rows."""
@@ -68,8 +68,8 @@ def cut_open(faces: Int[Tensor, "F 3"], directions: Float[Tensor, "V 3"]) -> Sea
 
 
 def _split_at_pole(
-    mixture: Float[Tensor, "W V"], directions: Float[Tensor, "W 3"], faces: Int[Tensor, "F 3"], sign: float
-) -> tuple[Float[Tensor, "vertices V"], Float[Tensor, "vertices 3"], Int[Tensor, "faces 3"]]:
+    mixture: Float[Tensor, "K V"], directions: Float[Tensor, "K 3"], faces: Int[Tensor, "F 3"], sign: float
+) -> tuple[Float[Tensor, "new_vertices V"], Float[Tensor, "new_vertices 3"], Int[Tensor, "new_faces 3"]]:
     """Replace the faces that contain the direction (0, sign, 0) by their parts that meet in it, in one new vertex."""
     pole = directions.new_tensor([0.0, sign, 0.0])
     corners = directions[faces]
@@ -86,7 +86,7 @@ def _split_at_pole(
     return torch.cat([mixture, middle]), torch.cat([directions, pole[None]]), torch.cat(new_faces)
 
 
-def _corner_uv(directions: Float[Tensor, "U 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "F 3 2"]:
+def _corner_uv(directions: Float[Tensor, "K 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "F 3 2"]:
     corners = directions[faces]
     around = _turn(corners)
     middle = _turn(corners.sum(dim=1))[:, None]

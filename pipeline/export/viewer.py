@@ -27,28 +27,25 @@ INTRODUCTION = (
 
 
 class Exhibit(NamedTuple):
-    """A mesh to look at.
-
-    Attributes:
-        key: names the mesh within the page; `turn_link` leads to it.
-        group: heading it is listed under; neighbours in a sequence share it.
-        glb: content of a .glb file.
-        textured: whether the mesh has colours of its own; else it is shown as clay.
-        azimuth: of the first view, in degrees.
-        elevation: of the first view, in degrees.
-        thumbnail: address of a picture to choose it by.
-        beside: HTML shown beside the mesh.
-    """
+    """A mesh to look at."""
 
     key: str
+    """Names the mesh within the page; `turn_link` leads to it."""
     group: str
+    """Heading it is listed under; neighbours in a sequence share it."""
     name: str
     glb: bytes
+    """Content of a .glb file."""
     textured: bool
+    """Whether the mesh has colours of its own; else it is shown as clay."""
     azimuth: float
+    """Of the first view, in degrees."""
     elevation: float
+    """Of the first view, in degrees."""
     thumbnail: str
+    """Address of a picture to choose it by."""
     beside: str
+    """HTML shown beside the mesh."""
 
 
 def viewer_section(exhibits: Sequence[Exhibit], camera: CameraConfig) -> Section:

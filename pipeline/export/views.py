@@ -26,17 +26,14 @@ _TURNS = 72
 
 @dataclass(frozen=True)
 class ViewConfig:
-    """How objects are shown.
-
-    Attributes:
-        size: height and width of a rendering in pixels.
-        supersampling: samples along each side of a pixel.
-        elevation: height angle of the camera in degrees.
-    """
+    """How objects are shown."""
 
     size: Count
+    """Height and width of a rendering in pixels."""
     supersampling: Count
+    """Samples along each side of a pixel."""
     elevation: Elevation
+    """Height angle of the camera in degrees."""
 
 
 def render_clay(

@@ -27,15 +27,15 @@ class CameraConfig:
 class Pose(NamedTuple):
     """Hold one viewpoint and one placement in the picture for each object of a batch (paper 3.2.2)."""
 
-    azimuth: Float[Tensor, "B"]
+    azimuth: Float[Tensor, " B"]
     """Turn of the camera about +y, in radians; 0 looks at the front (+z), pi / 2 stands at +x."""
-    elevation: Float[Tensor, "B"]
+    elevation: Float[Tensor, " B"]
     """Height angle of the camera above the xz plane, in radians."""
-    roll: Float[Tensor, "B"]
+    roll: Float[Tensor, " B"]
     """Counter-clockwise turn of the object in the picture, in radians."""
     center: Float[Tensor, "B 2"]
     """Where the world's origin falls in the picture, in ndc."""
-    scale: Float[Tensor, "B"]
+    scale: Float[Tensor, " B"]
     """Factor on the size in the picture; 1 leaves the perspective projection as it is."""
 
     def at(self, index: Int[Tensor, " K"] | slice) -> "Pose":
@@ -43,7 +43,7 @@ class Pose(NamedTuple):
         return Pose(*(values[index] for values in self))
 
 
-def level_pose(azimuth: Float[Tensor, "B"], elevation: Float[Tensor, "B"]) -> Pose:
+def level_pose(azimuth: Float[Tensor, " B"], elevation: Float[Tensor, " B"]) -> Pose:
     """Return poses without roll, at the picture's centre and at scale 1."""
     zeros = torch.zeros_like(azimuth)
     return Pose(azimuth, elevation, zeros, torch.stack([zeros, zeros], dim=1), torch.ones_like(azimuth))
@@ -61,7 +61,7 @@ def pose_from_tensor(values: Float[Tensor, "B 6"]) -> Pose:
 
 
 def rotation_from_angles(
-    azimuth: Float[Tensor, "B"], elevation: Float[Tensor, "B"], roll: Float[Tensor, "B"]
+    azimuth: Float[Tensor, " B"], elevation: Float[Tensor, " B"], roll: Float[Tensor, " B"]
 ) -> Float[Tensor, "B 3 3"]:
     """Return the rotations from world to camera axes (x right, y up, z towards the viewer), angles in radians."""
     sin_a, cos_a = azimuth.sin(), azimuth.cos()

@@ -11,12 +11,12 @@ from pipeline.geometry.topology import topology_of
 
 def cut_half(
     vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], directions: Float[Tensor, "V 3"]
-) -> tuple[Float[Tensor, "W 3"], Int[Tensor, "H 3"]]:
+) -> tuple[Float[Tensor, "new_vertices 3"], Int[Tensor, "new_faces 3"]]:
     """Return the half of a closed mesh whose directions have x >= 0: a disk with its border on the plane x = 0.
 
     `directions` are the vertices' mirror-symmetric points on the unit sphere. They say which side a vertex belongs to,
     even where a deformation pushed it across the plane. Positions are made symmetric; edges across the plane are cut in
-    their middle. Raise MeshError when the faces are not mirror-symmetric.
+    their middle. Raises MeshError when the faces are not mirror-symmetric.
     """
     mirror = mirror_index(directions)
     side = directions[:, 0].sign().masked_fill(mirror == torch.arange(len(mirror)), 0)
@@ -37,11 +37,11 @@ def cut_half(
 
 
 def join_halves(
-    vertices: Float[Tensor, "W 3"], faces: Int[Tensor, "H 3"]
-) -> tuple[Float[Tensor, "V 3"], Int[Tensor, "F 3"]]:
+    vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]
+) -> tuple[Float[Tensor, "new_vertices 3"], Int[Tensor, "new_faces 3"]]:
     """Weld a disk to its mirror image along its border, which is moved onto the plane x = 0.
 
-    The first W vertices and H faces of the result are the disk's; the result is symmetric to the last bit.
+    The first V vertices and F faces of the result are the disk's; the result is symmetric to the last bit.
     """
     on_border = border_mask(faces, len(vertices))
     x, rest = vertices.split([1, 2], dim=1)
@@ -51,7 +51,7 @@ def join_halves(
     return torch.cat([vertices, reflect(vertices[~on_border])]), torch.cat([faces, partner[faces].flip(1)])
 
 
-def border_edges(faces: Int[Tensor, "H 3"]) -> Int[Tensor, "N 2"]:
+def border_edges(faces: Int[Tensor, "F 3"]) -> Int[Tensor, "K 2"]:
     """List the edges of a mesh with one face only, in that face's sense of rotation."""
     vertex_count = int(faces.max()) + 1
     start, end = faces.flatten(), faces.roll(-1, dims=1).flatten()
@@ -59,17 +59,17 @@ def border_edges(faces: Int[Tensor, "H 3"]) -> Int[Tensor, "N 2"]:
     return torch.stack([start[alone], end[alone]], dim=1)
 
 
-def border_mask(faces: Int[Tensor, "H 3"], vertex_count: int) -> Bool[Tensor, " W"]:
+def border_mask(faces: Int[Tensor, "F 3"], vertex_count: int) -> Bool[Tensor, " V"]:
     """Tell which vertices lie on the border of a disk."""
     mask = torch.zeros(vertex_count, dtype=torch.bool)
     mask[border_edges(faces)] = True
     return mask
 
 
-def border_loop(faces: Int[Tensor, "H 3"]) -> Int[Tensor, " N"]:
+def border_loop(faces: Int[Tensor, "F 3"]) -> Int[Tensor, " K"]:
     """Walk around the border of a disk in the sense of rotation of its faces.
 
-    Raise MeshError when the border is not one simple loop.
+    Raises MeshError when the border is not one simple loop.
     """
     edges = border_edges(faces).tolist()
     following = dict(edges)
@@ -82,8 +82,8 @@ def border_loop(faces: Int[Tensor, "H 3"]) -> Int[Tensor, " N"]:
 
 
 def split_chords(
-    vertices: Float[Tensor, "W 3"], faces: Int[Tensor, "H 3"]
-) -> tuple[Float[Tensor, "vertices 3"], Int[Tensor, "faces 3"]]:
+    vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]
+) -> tuple[Float[Tensor, "new_vertices 3"], Int[Tensor, "new_faces 3"]]:
     """Split every inner edge between two border vertices of a disk in its middle.
 
     Such an edge would coincide with its mirror image once halves are joined, and a face beside it could have all its

@@ -27,7 +27,7 @@ def icosahedron() -> tuple[Float[Tensor, "12 3"], Int[Tensor, "20 3"]]:
 
 def subdivide(
     vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"]
-) -> tuple[Float[Tensor, "W 3"], Int[Tensor, "H 3"]]:
+) -> tuple[Float[Tensor, "new_vertices 3"], Int[Tensor, "new_faces 3"]]:
     """Split every face in four at the midpoints of its edges and push the midpoints to the unit sphere."""
     edges = torch.stack((faces, faces.roll(-1, dims=1)), dim=2).sort(dim=2).values  # edge k joins corners k and k + 1
     unique_edges, edge_index = edges.reshape(-1, 2).unique(dim=0, return_inverse=True)

@@ -59,7 +59,7 @@ def isotropic_remeshing(
     iterations: int,
     feature_angle: float,
     surface_tolerance: float,
-) -> tuple[Float[Tensor, "W 3"], Int[Tensor, "H 3"]]:
+) -> tuple[Float[Tensor, "new_vertices 3"], Int[Tensor, "new_faces 3"]]:
     """Split, collapse, flip, relax and project back until edges are about `edge_length` long.
 
     Borders stay borders. Edges bent more than `feature_angle` degrees are kept; no step may move the surface by more
@@ -79,7 +79,7 @@ def isotropic_remeshing(
 
 def one_sided_distance(
     sampled: tuple[Float[Tensor, "V 3"], Int[Tensor, "F 3"]],
-    target: tuple[Float[Tensor, "W 3"], Int[Tensor, "H 3"]],
+    target: tuple[Float[Tensor, "target_vertices 3"], Int[Tensor, "target_faces 3"]],
 ) -> dict[str, float]:
     """Measure how far one surface strays from another: `max` and `mean` over the samples.
 

@@ -15,10 +15,10 @@ from pipeline.geometry.symmetry import is_symmetric, mirror_index
 from pipeline.geometry.topology import euler_characteristic, polygon_areas
 from pipeline.ranges import Count, Positive, Slant
 
-# Share of the squared diagonal below which there is no surface to speak of; a sphere has about 1.
 SMALLEST_AREA = 1e-4
-# Parts into which the sides of a face are divided to find nearest points.
+"""Share of the squared diagonal below which there is no surface to speak of; a sphere has about 1."""
 GRID = 4
+"""Parts into which the sides of a face are divided to find nearest points, which say on which side a face is."""
 
 
 class MappedMesh(NamedTuple):
@@ -50,7 +50,7 @@ def remesh_isotropic(mesh: MappedMesh, isotropic: IsotropicConfig, sphere_map: S
     """Make polygons even in size and shape and map the new mesh one-to-one to the sphere.
 
     A mirror-symmetric mesh stays so to the last bit, in positions and directions: one half is remeshed, mapped to a
-    hemisphere and mirrored. Raise MeshError when the input is not finite, closed and of genus 0, or has no extent.
+    hemisphere and mirrored. Raises MeshError when the input is not finite, closed and of genus 0, or has no extent.
     """
     check_surface(mesh)
     symmetric = is_symmetric(mesh.vertices, mirror_index(mesh.directions))
@@ -111,7 +111,7 @@ def _nearest_directions(vertices: Float[Tensor, "V 3"], mesh: MappedMesh) -> Flo
 
 def _remesh(
     vertices: Float[Tensor, "V 3"], faces: Int[Tensor, "F 3"], target: float, config: IsotropicConfig
-) -> tuple[Float[Tensor, "W 3"], Int[Tensor, "H 3"]]:
+) -> tuple[Float[Tensor, "new_vertices 3"], Int[Tensor, "new_faces 3"]]:
     """Remesh several times, correcting the edge length by the number of faces it led to, and keep the best."""
     edge_length = (polygon_areas(vertices, faces).sum().item() / target * 4 / 3**0.5) ** 0.5
     attempts = []

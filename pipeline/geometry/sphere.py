@@ -11,17 +11,14 @@ from pipeline.geometry.symmetry import mirror_index
 
 
 class Sphere(NamedTuple):
-    """The icosphere that base shapes deform.
-
-    Attributes:
-        directions: unit vectors, the texture domain.
-        faces: counter-clockwise from outside.
-        mirror: index of each vertex's mirror image about x = 0.
-    """
+    """The icosphere that base shapes deform."""
 
     directions: Float[Tensor, "V 3"]
+    """Unit vectors, the texture domain."""
     faces: Int[Tensor, "F 3"]
+    """Counter-clockwise from outside."""
     mirror: Int[Tensor, " V"]
+    """Index of each vertex's mirror image about x = 0."""
 
 
 def build_sphere(subdivisions: int, device: torch.device) -> Sphere:

@@ -12,10 +12,11 @@ from pipeline.errors import MeshError
 from pipeline.geometry.topology import polygon_areas
 from pipeline.ranges import Count, NonNegative
 
-# Areas vanish below single precision in the first embedding of a long limb; their logarithms must not.
 SMALLEST_RATIO = 1e-12
-# Some tens are enough for the few triangles that need it.
+"""Least enlargement whose logarithm is taken: areas vanish below single precision in the first embedding of a long
+limb."""
 UNFOLDING_ROUNDS = 100
+"""At most; some tens are enough for the few triangles that need it."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class SphereMapConfig:
 def map_to_sphere(
     vertices: Float[Tensor, "V 3"],
     faces: Int[Tensor, "F 3"],
-    loop: Int[Tensor, " N"],
+    loop: Int[Tensor, " K"],
     side: Int[Tensor, " V"],
     config: SphereMapConfig,
 ) -> Float[Tensor, "V 3"]:
@@ -43,7 +44,7 @@ def map_to_sphere(
     disk, which cannot fold (Tutte 1963), and Lambert's equal-area projection lifts each to its hemisphere. Where the
     map enlarges the surface the springs are stiffened and the embedding is repeated (after Yoshizawa, Belyaev & Seidel
     2004). Of all iterations the one that distorts areas least is kept. Last, a turn about the x axis makes directions
-    agree with positions best. Return unit vectors in double precision. Raise MeshError when every embedding has a
+    agree with positions best. Return unit vectors in double precision. Raises MeshError when every embedding has a
     flipped triangle.
     """
     vertices = vertices.double()
@@ -108,7 +109,7 @@ def _adjacency(faces: Int[Tensor, "F 3"]) -> Float[Tensor, "V V"]:
 
 
 def _embed(
-    stiffness: Float[Tensor, "V V"], spacing: Float[Tensor, " N"], loop: Int[Tensor, " N"]
+    stiffness: Float[Tensor, "V V"], spacing: Float[Tensor, " K"], loop: Int[Tensor, " K"]
 ) -> Float[Tensor, "V 2"]:
     """Spread the loop over the unit circle by the spacing and let springs pull the other vertices between it."""
     turn = 2 * math.pi * (spacing.cumsum(0) - spacing) / spacing.sum()

@@ -18,7 +18,7 @@ def mirror_index(vertices: Float[Tensor, "V 3"]) -> Int[Tensor, " V"]:
     """Find the mirror image of every vertex.
 
     Entry i is the index of the vertex at (-x, y, z) of vertex i, within rounding; vertices on the plane map to
-    themselves. Raise MeshError when some vertex has no partner or two vertices share one.
+    themselves. Raises MeshError when some vertex has no partner or two vertices share one.
     """
     distances = torch.cdist(reflect(vertices).double(), vertices.double(), compute_mode="donot_use_mm_for_euclid_dist")
     distance, index = distances.min(dim=1)

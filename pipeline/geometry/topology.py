@@ -31,7 +31,7 @@ def topology_of(faces: Int[Tensor, "F 3"]) -> Topology:
     """Derive the connectivity of a mesh; every index below the largest in `faces` is taken as a vertex.
 
     It is kept for as long as the tensor lives, because deriving it makes the host wait for a GPU: do not change faces
-    in place. Raise MeshError unless every edge joins exactly two faces that traverse it in opposite directions.
+    in place. Raises MeshError unless every edge joins exactly two faces that traverse it in opposite directions.
     """
     if faces not in _derived:
         _derived[faces] = _derive(faces)

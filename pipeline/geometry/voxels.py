@@ -4,8 +4,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-# Bounds the working memory to some hundred megabytes.
 MESHES_AT_ONCE = 64
+"""Bounds the working memory to some hundred megabytes."""
 
 
 def voxelize(vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], resolution: int) -> Bool[Tensor, "B W H D"]:
@@ -39,7 +39,9 @@ def _voxelize(vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], resol
     return above.flip(-1).cumsum(-1).flip(-1) != 0
 
 
-def _columns_in_boxes(corners: Float[Tensor, "N 3 2"], resolution: int) -> tuple[Tensor, Tensor, Tensor]:
+def _columns_in_boxes(
+    corners: Float[Tensor, "triangles 3 2"], resolution: int
+) -> tuple[Int[Tensor, " columns"], Int[Tensor, " columns"], Int[Tensor, " columns"]]:
     """List (triangle, x, y) for every column within the bounding box of each triangle."""
     lower = corners.amin(dim=1).ceil().clamp(0, resolution).long()
     upper = corners.amax(dim=1).floor().clamp(-1, resolution - 1).long()
@@ -52,14 +54,14 @@ def _columns_in_boxes(corners: Float[Tensor, "N 3 2"], resolution: int) -> tuple
     return triangle, lower[triangle, 0] + position // height, lower[triangle, 1] + position % height
 
 
-def _opposite_areas(corners: Float[Tensor, "N 3 2"], point: Float[Tensor, "N 2"]) -> Float[Tensor, "N 3"]:
+def _opposite_areas(corners: Float[Tensor, "K 3 2"], point: Float[Tensor, "K 2"]) -> Float[Tensor, "K 3"]:
     """Return twice the signed area that a point spans with the edge opposite each corner."""
     start, end = corners.roll(-1, dims=1), corners.roll(-2, dims=1)
     edge, offset = end - start, point[:, None] - start
     return edge[..., 0] * offset[..., 1] - edge[..., 1] * offset[..., 0]
 
 
-def _inside(areas: Float[Tensor, "N 3"], corners: Float[Tensor, "N 3 2"]) -> Bool[Tensor, " N"]:
+def _inside(areas: Float[Tensor, "K 3"], corners: Float[Tensor, "K 3 2"]) -> Bool[Tensor, " K"]:
     """Decide points on an edge by the edge's direction, so that of two faces sharing it exactly one is hit."""
     edge = corners.roll(-2, dims=1) - corners.roll(-1, dims=1)
     ascending = (edge[..., 1] > 0) | ((edge[..., 1] == 0) & (edge[..., 0] > 0))

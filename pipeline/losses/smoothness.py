@@ -9,8 +9,9 @@ from torch import Tensor
 from pipeline.geometry.topology import Topology, topology_of
 from pipeline.ranges import NonNegative
 
-# Products of four lengths; far below those of a polygon in the unit cube, so only collapsed polygons feel it.
 COLLAPSED = 1e-16
+"""Added to products of two and of four lengths; far below those of a polygon in the unit cube, so only collapsed
+polygons feel it."""
 
 
 @dataclass(frozen=True)

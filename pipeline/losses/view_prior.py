@@ -27,7 +27,7 @@ def reverse_gradient(values: Float[Tensor, "*shape"]) -> Float[Tensor, "*shape"]
     return _ReverseGradient.apply(values)
 
 
-def view_prior_loss(estimated: Float[Tensor, "B"], random: Float[Tensor, "N"]) -> Float[Tensor, ""]:
+def view_prior_loss(estimated: Float[Tensor, " B"], random: Float[Tensor, " N"]) -> Float[Tensor, ""]:
     """Return the discriminator's mean binary cross-entropy, in nats; log 2 when it cannot tell the views apart.
 
     `estimated` are its logits for renderings at estimated views (label 1), `random` for renderings at random views

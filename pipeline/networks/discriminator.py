@@ -24,7 +24,7 @@ class ViewDiscriminator(nn.Module):
         self.view = nn.Linear(view_size, 4 * width)
         self.score = nn.Linear(4 * width, 1)
 
-    def forward(self, images: Float[Tensor, "B 3 H W"], views: Float[Tensor, "B K"]) -> Float[Tensor, "B"]:
+    def forward(self, images: Float[Tensor, "B 3 H W"], views: Float[Tensor, "B K"]) -> Float[Tensor, " B"]:
         """Return logits, positive for "rendered at an estimated view"; `views` are pose coordinates."""
         maps = 2 * images - 1
         for convolution in self.convolutions:

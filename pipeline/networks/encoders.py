@@ -17,6 +17,8 @@ POOLED_SIZE = 4
 """Maps are averaged to squares of so many positions a side: enough to keep where things are."""
 POSITIONS = POOLED_SIZE**2
 NORMALIZATION_GROUPS = 8
+"""Sets of channels that are normalised apart, in every layer; so the first width, which later ones double, is a
+multiple of it."""
 CODE_NORM = 2.0
 """Root mean square norm of codes at the start: with 128 entries of deviation 1 decoders saturated."""
 LEAST_COLOR_VARIANCE = 1e-4
@@ -79,8 +81,8 @@ class Encoder(nn.Module):
     and codes have float32.
     """
 
-    color_mean: Tensor
-    color_mixing: Tensor
+    color_mean: Float[Tensor, " 3"]
+    color_mixing: Float[Tensor, "3 3"]
 
     def __init__(self, config: EncoderConfig, code_size: int, precision: torch.dtype) -> None:
         super().__init__()
@@ -133,8 +135,8 @@ class Encoder(nn.Module):
 class FeatureEncoder(nn.Module):
     """Map the feature maps of photographs to codes by one linear layer, which learns from few pictures."""
 
-    mean: Tensor
-    deviation: Tensor
+    mean: Float[Tensor, " pooled"]
+    deviation: Float[Tensor, " pooled"]
 
     def __init__(self, channels: int, code_size: int) -> None:
         """Take how many channels all maps have together."""

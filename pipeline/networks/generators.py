@@ -146,7 +146,7 @@ class LinearUpsample(nn.Module):
         super().__init__()
         self.size = size
 
-    def forward(self, rows: Float[Tensor, "B C L"]) -> Float[Tensor, "B C size"]:
+    def forward(self, rows: Float[Tensor, "B C length"]) -> Float[Tensor, "B C size"]:
         """Return rows of `size` values."""
         size = (rows.shape[1], self.size)
         return functional.interpolate(rows[:, None], size, mode="bilinear").squeeze(1)

@@ -29,19 +29,16 @@ VOLUME = 16
 
 @dataclass(frozen=True)
 class HoloGANConfig:
-    """Sizes of generator and discriminator.
-
-    Attributes:
-        latent_size: length of the noise vector.
-        width: channels of the turned features, and of the generator's last layer; 64 in the paper.
-        discriminator_width: channels of the discriminator's first layer, doubled by each later one; 64 in the paper.
-        image_size: side of the pictures in pixels: 32 or 64; the paper's larger ones need its style discriminators.
-    """
+    """Sizes of generator and discriminator."""
 
     latent_size: Count
+    """Length of the noise vector."""
     width: Count
+    """Channels of the turned features, and of the generator's last layer; 64 in the paper."""
     discriminator_width: Count
+    """Channels of the discriminator's first layer, doubled by each later one; 64 in the paper."""
     image_size: Literal[32, 64]
+    """Side of the pictures in pixels: 32 or 64; the paper's larger ones need its style discriminators."""
 
 
 class AdaptiveNormalization(nn.Module):
@@ -51,7 +48,9 @@ class AdaptiveNormalization(nn.Module):
         super().__init__()
         self.style = nn.Linear(latent_size, 2 * channels)
 
-    def forward(self, features: Float[Tensor, "B C *places"], latent: Float[Tensor, "B K"]) -> Tensor:
+    def forward(
+        self, features: Float[Tensor, "B C *places"], latent: Float[Tensor, "B K"]
+    ) -> Float[Tensor, "B C *places"]:
         """Return features of mean `shift` and deviation `|1 + scale|` over all places."""
         sizes = (len(features), -1, *[1] * (features.ndim - 2))
         scale, shift = (part.view(sizes) for part in self.style(latent).chunk(2, dim=1))

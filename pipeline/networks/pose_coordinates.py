@@ -50,8 +50,8 @@ class PoseCoordinates(nn.Module):
     shape and its azimuth; the centre and scale of a `Pose` follow from it.
     """
 
-    middle: Tensor
-    reach: Tensor
+    middle: Float[Tensor, " 5"]
+    reach: Float[Tensor, " 5"]
 
     def __init__(self, pose_range: PoseRange, camera: CameraConfig, rim: float, fills_picture: bool) -> None:
         """Take the ranges and the share of vertices that make up each side of a box.

@@ -24,23 +24,20 @@ _DAMAGE_OF_ARRAYS = (EOFError, RuntimeError, SyntaxError, TokenError, TypeError,
 
 @dataclass(frozen=True)
 class Architecture:
-    """Say what a network is made of and what its authors' weights expect.
-
-    Attributes:
-        layers: builds the convolutional part, whose layers have the names of the weights.
-        prefix: of those names in the file.
-        maps: names of the five layers whose outputs are the feature maps.
-        mean: subtracted from RGB in [0, 1].
-        std: the difference is divided by it.
-        first_of_bgr: the first layer's name where it expects blue before red; None where it expects RGB.
-    """
+    """Say what a network is made of and what its authors' weights expect."""
 
     layers: Callable[[], nn.Sequential]
+    """Builds the convolutional part, whose layers have the names of the weights."""
     prefix: str
+    """Of those names in the file."""
     maps: tuple[str, ...]
+    """Names of the five layers whose outputs are the feature maps."""
     mean: tuple[float, float, float]
+    """Subtracted from RGB in [0, 1]."""
     std: tuple[float, float, float]
+    """The difference is divided by it."""
     first_of_bgr: str | None
+    """The first layer's name where it expects blue before red; None where it expects RGB."""
 
 
 class Fire(nn.Module):
@@ -106,9 +103,9 @@ class PretrainedNetwork(nn.Module):
     Each map is multiplied by its entry of the buffer `scale`, which is 1 until it is set.
     """
 
-    mean: Tensor
-    std: Tensor
-    scale: Tensor
+    mean: Float[Tensor, "3 1 1"]
+    std: Float[Tensor, "3 1 1"]
+    scale: Float[Tensor, " maps"]
 
     def __init__(self, name: str) -> None:
         """Build the architecture of that name, with untrained weights."""

@@ -27,25 +27,22 @@ from pipeline.tensor_files import load_tensors, load_weights
 
 @dataclass(frozen=True)
 class GeneratorConfig:
-    """Sizes of the three generators.
-
-    Attributes:
-        latent_size: length of the noise vector.
-        shape_hidden: width of the shape generator.
-        offset_scale: factor on the vertex offsets; larger values move vertices faster at the same learning rate.
-        texture_channels: channels of the last block of the texture generator, and of that of backgrounds of any kind.
-        texture_size: side of the texture map in texels, a power of two.
-        background_hidden: channels of the generator of striped backgrounds.
-        mirror_texture: whether the texture is the same on both sides of the symmetry plane.
-    """
+    """Sizes of the three generators."""
 
     latent_size: Count
+    """Length of the noise vector."""
     shape_hidden: Count
+    """Width of the shape generator."""
     offset_scale: Positive
+    """Factor on the vertex offsets; larger values move vertices faster at the same learning rate."""
     texture_channels: Count
+    """Channels of the last block of the texture generator, and of that of backgrounds of any kind."""
     texture_size: TextureSize
+    """Side of the texture map in texels, a power of two."""
     background_hidden: Count
+    """Channels of the generator of striped backgrounds."""
     mirror_texture: bool
+    """Whether the texture is the same on both sides of the symmetry plane."""
 
 
 @dataclass(frozen=True)
@@ -60,31 +57,25 @@ class ConstraintConfig:
 
 @dataclass(frozen=True)
 class SceneConfig:
-    """Everything needed to build the generators.
-
-    Attributes:
-        colors: size of the texture palette, N_c.
-        image_size: side of the backgrounds in pixels.
-    """
+    """Everything needed to build the generators."""
 
     generator: GeneratorConfig
     constraints: ConstraintConfig
     colors: int
+    """Size of the texture palette, N_c."""
     image_size: int
+    """Side of the backgrounds in pixels."""
 
 
 class Scene(NamedTuple):
-    """A batch of generated objects, and the backgrounds behind them.
-
-    Attributes:
-        vertices: world space, inside the unit cube.
-        texture_maps: RGB in [0, 1].
-        backgrounds: RGB in [0, 1].
-    """
+    """A batch of generated objects, and the backgrounds behind them."""
 
     vertices: Float[Tensor, "B V 3"]
+    """World space, inside the unit cube."""
     texture_maps: Float[Tensor, "B 3 T T"]
+    """RGB in [0, 1]."""
     backgrounds: Float[Tensor, "B 3 H W"]
+    """RGB in [0, 1]."""
 
 
 class SceneGenerator(nn.Module):
@@ -123,17 +114,14 @@ class SceneGenerator(nn.Module):
 
 
 class LearnedScenes(NamedTuple):
-    """What base-shape learning leaves: every seed's generators, and the mesh that their vertices belong to.
-
-    Attributes:
-        generators: in evaluation mode; those of the chosen base shape first.
-        faces: counter-clockwise from outside.
-        directions: unit vectors, the texture domain.
-    """
+    """What base-shape learning leaves: every seed's generators, and the mesh that their vertices belong to."""
 
     generators: list[SceneGenerator]
+    """In evaluation mode; those of the chosen base shape first."""
     faces: Int[Tensor, "F 3"]
+    """Counter-clockwise from outside."""
     directions: Float[Tensor, "V 3"]
+    """Unit vectors, the texture domain."""
 
 
 def scene_tensors(generators: Sequence[SceneGenerator]) -> dict[str, Tensor]:

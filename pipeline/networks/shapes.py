@@ -106,10 +106,10 @@ class FreeFormShapes(nn.Module):
     the grid along.
     """
 
-    base_vertices: Tensor
-    weights: Tensor
-    mirrored_points: Tensor
-    correlation_root: Tensor
+    base_vertices: Float[Tensor, "V 3"]
+    weights: Float[Tensor, "V 64"]
+    mirrored_points: Int[Tensor, " 64"]
+    correlation_root: Float[Tensor, "64 64"]
 
     def __init__(self, base: Mesh, config: ShapeConfig) -> None:
         super().__init__()
@@ -164,7 +164,7 @@ class OffsetShapes(nn.Module):
     neighbouring vertices would only make it rough.
     """
 
-    base_vertices: Tensor
+    base_vertices: Float[Tensor, "V 3"]
     mirrored_vertices: Int[Tensor, " V"]
 
     def __init__(self, base: Mesh, config: ShapeConfig) -> None:

@@ -42,8 +42,8 @@ class WideResNet(nn.Module):
     """
 
     maps = 3
-    mean: Tensor
-    std: Tensor
+    mean: Float[Tensor, "1 3 1 1"]
+    std: Float[Tensor, "1 3 1 1"]
 
     def __init__(self, depth: int, width: int, classes: int) -> None:
         super().__init__()
@@ -94,8 +94,8 @@ class WideResNet(nn.Module):
 class ChannelAffine(nn.Module):
     """Scale and shift every channel: what a batch normalisation does in evaluation mode."""
 
-    scale: Tensor
-    shift: Tensor
+    scale: Float[Tensor, "C 1 1"]
+    shift: Float[Tensor, "C 1 1"]
 
     def __init__(self, normalization: nn.BatchNorm2d) -> None:
         super().__init__()

@@ -51,7 +51,7 @@ def antialias(
     An edge is a silhouette where it joins a face seen from outside to one seen from inside. It is visible where its
     outer pixel shows something farther away; of several that pass between the same two pixels the one that reaches
     farthest counts, as the others lie in front of the object. Edges that cut one pixel together take no more than all
-    of it. Gradients flow to the colors and, through where the edges are, to the vertices. Raise MeshError if the mesh
+    of it. Gradients flow to the colors and, through where the edges are, to the vertices. Raises MeshError if the mesh
     is not closed.
     """
     if colors.is_cuda:

@@ -129,7 +129,7 @@ def find_crossings(
 @njit()
 @no_type_check
 def blended_pair(
-    slot: Int[np.ndarray, "3"], codes: Int[np.ndarray, "2 H W"], excesses: Float[np.ndarray, "2 H W"]
+    slot: Int[np.ndarray, " 3"], codes: Int[np.ndarray, "2 H W"], excesses: Float[np.ndarray, "2 H W"]
 ) -> tuple[tuple[int, int], tuple[int, int], float]:
     """Return row and column of the pixel that a crossing changes and of the one whose color it takes, and how much."""
     sideways, row, column = slot[0], slot[1], slot[2]
@@ -177,7 +177,7 @@ def blend(
 @njit()
 @no_type_check
 def move_edge(
-    slot: Int[np.ndarray, "3"],
+    slot: Int[np.ndarray, " 3"],
     code: int,
     slope: float,
     points: Float[np.ndarray, "V 3"],

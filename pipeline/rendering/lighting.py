@@ -13,9 +13,9 @@ class Light(NamedTuple):
 
     direction: Float[Tensor, "B 3"]
     """Unit vector from the object towards the light, in world axes."""
-    ambient: Float[Tensor, "B"]
+    ambient: Float[Tensor, " B"]
     """Intensity that reaches every surface."""
-    directional: Float[Tensor, "B"]
+    directional: Float[Tensor, " B"]
     """Intensity that a surface facing the light gets on top."""
 
 

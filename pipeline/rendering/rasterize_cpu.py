@@ -125,10 +125,10 @@ def put(source: Float[np.ndarray, "C H W"], target: Float[np.ndarray, "C H W"]) 
 @njit()
 @no_type_check
 def add_vertex_gradient(
-    corners: Int[np.ndarray, "3"],
+    corners: Int[np.ndarray, " 3"],
     center: tuple[float, float],
     vertices: Float[np.ndarray, "V 3"],
-    gradient: Float[np.ndarray, "3"],
+    gradient: Float[np.ndarray, " 3"],
     vertex_gradient: Float[np.ndarray, "V 3"],
 ) -> None:
     """Carry one pixel's gradient from its barycentric coordinates to the corners of its face."""

@@ -33,8 +33,8 @@ def arctangent(y: float, x: float) -> float:
 @njit()
 @no_type_check
 def covered(
-    directions: Float[np.ndarray, "P 3"],
-) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"], Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+    directions: Float[np.ndarray, "pixels 3"],
+) -> tuple[Int[np.ndarray, " K"], Float[np.ndarray, " K"], Float[np.ndarray, " K"], Float[np.ndarray, " K"]]:
     """Return which pixels have a direction, and the directions' components."""
     count, pixels, rows = 0, np.zeros(len(directions), np.int32), np.zeros((3, len(directions)), directions.dtype)
     xs, ys, zs = rows[0], rows[1], rows[2]  # unpacked, they would not be known to be contiguous
@@ -49,8 +49,8 @@ def covered(
 @njit()
 @no_type_check
 def texel_coordinates(
-    x: Float[np.ndarray, " N"], y: Float[np.ndarray, " N"], z: Float[np.ndarray, " N"], size: int
-) -> tuple[Float[np.ndarray, " N"], Float[np.ndarray, " N"]]:
+    x: Float[np.ndarray, " K"], y: Float[np.ndarray, " K"], z: Float[np.ndarray, " K"], size: int
+) -> tuple[Float[np.ndarray, " K"], Float[np.ndarray, " K"]]:
     """Return the rows and columns that directions fall on, 0 at the centre of the first; all at once, as vectors."""
     rows, columns = np.zeros(len(x)), np.zeros(len(x))
     for i in range(len(x)):

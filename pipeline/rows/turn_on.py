@@ -27,30 +27,27 @@ SWITCHES = ("datasets", "features", "base_shapes", "runs", *BASELINES)
 
 
 class Options(NamedTuple):
-    """What is to be run.
-
-    Attributes:
-        row: an entry of `rows`.
-        size: an entry of `sizes`.
-        ablation: an entry of `ablations`.
-        source: folder or archive of the photographs; None where they are on.
-        features: weights of the network that compares pictures; None for those of its size.
-        dataset: a name for the photographs; None for the row's.
-        category: the one among them; None for the row's.
-        base_shape: an entry of `base_shapes` to train around; None for one that is learned from the same photographs.
-        baseline: what is measured on the photographs instead.
-    """
+    """What is to be run."""
 
     row: str
+    """An entry of `rows`."""
     size: str = "laptop"
+    """An entry of `sizes`."""
     ablation: str = "none"
+    """An entry of `ablations`."""
     seed: int = 0
     source: Path | None = None
+    """Folder or archive of the photographs; None where they are on."""
     features: Path | None = None
+    """Weights of the network that compares pictures; None for those of its size."""
     dataset: str | None = None
+    """A name for the photographs; None for the row's."""
     category: str | None = None
+    """The one among them; None for the row's."""
     base_shape: str | None = None
+    """An entry of `base_shapes` to train around; None for one that is learned from the same photographs."""
     baseline: str | None = None
+    """What is measured on the photographs instead."""
 
 
 def turn_on(path: Path, options: Options) -> str:

@@ -29,31 +29,30 @@ from pipeline.training.paint import mean_colors, paintless_features
 AZIMUTHS = 72
 """Bins; an even number, so that opposite azimuths are bins too."""
 _HARMONICS = 4
+"""Frequencies, a cosine and a sine each, in which azimuths are regressed; the highest repeats every 90 degrees."""
 _BALANCING_STEPS = 60
+"""A fixed number, without a test of convergence; each goes but half of a Newton-like step."""
 
 
 @dataclass(frozen=True)
 class ConsensusConfig:
-    """Settings of the consensus.
-
-    Attributes:
-        rounds: of regression; 0 keeps the votes.
-        smaller_end: least part of an axis's probability, over all photographs, that either end gets; 0 leaves it free.
-            Where photographs say little of ends, more of them may still be likelier to show the same one.
-        components: principal components of the features that the regression sees.
-        repainting_floor: added to the variances under repainting, as a part of their mean.
-        ridge: penalty of the regression, as a part of a component's mean variance.
-        folds: parts of the photographs that are judged in turn by a regression fitted to the others.
-        sharpness: factor on standardised scores that makes them logarithms of probabilities.
-    """
+    """Settings of the consensus."""
 
     rounds: Natural
+    """Of regression; 0 keeps the votes."""
     smaller_end: Annotated[float, Range(0, 0.5)]
+    """Least part of an axis's probability, over all photographs, that either end gets; 0 leaves it free. Where
+    photographs say little of ends, more of them may still be likelier to show the same one."""
     components: Count
+    """Principal components of the features that the regression sees."""
     repainting_floor: NonNegative
+    """Added to the variances under repainting, as a part of their mean."""
     ridge: NonNegative
+    """Penalty of the regression, as a part of a component's mean variance."""
     folds: Several
+    """Parts of the photographs that are judged in turn by a regression fitted to the others."""
     sharpness: Positive
+    """Factor on standardised scores that makes them logarithms of probabilities."""
 
 
 @torch.no_grad()
@@ -80,7 +79,7 @@ def agree_on_azimuths(
     return probabilities
 
 
-def join_votes(votes: Float[Tensor, "G N azimuths"]) -> Float[Tensor, "N azimuths"]:
+def join_votes(votes: Float[Tensor, "generators N azimuths"]) -> Float[Tensor, "N azimuths"]:
     """Add the votes of several generators, which learned from the same photographs, in the frame of the first.
 
     Which end of a learned shape is its front is chance, and without symmetry how it stands at all. So generators are

@@ -40,35 +40,29 @@ from pipeline.training.viewpoints import LightConfig, ViewpointConfig, enlarge_f
 
 @dataclass(frozen=True)
 class BaseShapeConfig:
-    """Settings of base-shape learning.
-
-    Attributes:
-        cool_down: the last part of the iterations, over which the learning rate falls to zero; the paper has none.
-        seeds: how many base shapes are learned; a label-free score picks one.
-        reconstruction_balance: lambda_rec, the share of the Chamfer distance against feature matching.
-        colors: size of the texture palette, N_c.
-        initial_dimensions: width, height and depth of the initial ellipsoid (paper Table 3).
-        subdivisions: of the icosphere; 3 gives 642 vertices.
-        framing: `box` lets the object fill each rendering, like photographs cut to their boxes.
-        front_scale: how many times larger objects are drawn from ahead and behind than from the side, at framing
-            `free`; the paper draws them alike, photographers fill the frame from every side.
-        score_batches: batches of photographs and renderings that the score is averaged over.
-        curve_every: iterations that one row of the curve averages.
-        checkpoint_every: iterations between restart states.
-    """
+    """Settings of base-shape learning."""
 
     iterations: Count
     batch_size: Count
     seeds: Count
+    """How many base shapes are learned; a label-free score picks one."""
     learning_rate: Positive
     betas: tuple[Momentum, Momentum]
     cool_down: Fraction
+    """The last part of the iterations, over which the learning rate falls to zero; the paper has none."""
     reconstruction_balance: Fraction
+    """lambda_rec, the share of the Chamfer distance against feature matching."""
     colors: Count
+    """Size of the texture palette, N_c."""
     initial_dimensions: tuple[Positive, Positive, Positive]
+    """Width, height and depth of the initial ellipsoid (paper Table 3)."""
     subdivisions: Natural
+    """Of the icosphere; 3 gives 642 vertices."""
     framing: Framing
+    """`box` lets the object fill each rendering, like photographs cut to their boxes."""
     front_scale: Positive
+    """How many times larger objects are drawn from ahead and behind than from the side, at framing `free`; the paper
+    draws them alike, photographers fill the frame from every side."""
     generator: GeneratorConfig
     constraints: ConstraintConfig
     viewpoint: ViewpointConfig
@@ -76,8 +70,11 @@ class BaseShapeConfig:
     renderer: RendererConfig
     smoothness: SmoothnessConfig
     score_batches: Count
+    """Batches of photographs and renderings that the score is averaged over."""
     curve_every: Count
+    """Iterations that one row of the curve averages."""
     checkpoint_every: Count
+    """Iterations between restart states."""
 
     def __post_init__(self) -> None:
         """Raise ConfigError for a scale that filling the picture would override."""
@@ -86,22 +83,19 @@ class BaseShapeConfig:
 
 
 class BaseShapes(NamedTuple):
-    """The result of all seeds.
-
-    Attributes:
-        vertices: one shape a seed, in the unit cube.
-        scores: label-free score of each seed; lower is better.
-        best: index of the seed with the lowest score.
-        generators: every seed's.
-        curve: losses of all seeds.
-    """
+    """The result of all seeds."""
 
     sphere: Sphere
     vertices: Float[Tensor, "K V 3"]
+    """One shape a seed, in the unit cube."""
     scores: Float[Tensor, " K"]
+    """Label-free score of each seed; lower is better."""
     best: int
+    """Index of the seed with the lowest score."""
     generators: list[SceneGenerator]
+    """Every seed's."""
     curve: Curve
+    """Losses of all seeds."""
 
 
 class Learned(NamedTuple):
@@ -144,7 +138,9 @@ class SeedTrainer:
         rendering = render(mesh, scene.texture_maps, pose, scene.backgrounds, light, self.config.renderer)
         return scene, rendering.images
 
-    def reconstruction_loss(self, images: Float[Tensor, "B 3 H W"], rng: torch.Generator) -> dict[str, Tensor]:
+    def reconstruction_loss(
+        self, images: Float[Tensor, "B 3 H W"], rng: torch.Generator
+    ) -> dict[str, Float[Tensor, ""]]:
         """Compare renderings, of which this process holds a share, with as many photographs (paper eqs. 2 to 4)."""
         total = len(self.photographs.images)
         index = torch.randint(total, (whole(len(images)),), generator=rng, device=rng.device)

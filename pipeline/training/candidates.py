@@ -220,11 +220,15 @@ def _spread(batch: int, count: int, rng: torch.Generator) -> Float[Tensor, "coun
     return (start + torch.arange(count, device=rng.device)[:, None]) / max(count, 1)
 
 
-def _random_poses(model: FullModel, batch: int, config: ExplorationConfig, rng: torch.Generator) -> Tensor:
+def _random_poses(
+    model: FullModel, batch: int, config: ExplorationConfig, rng: torch.Generator
+) -> Float[Tensor, "count B 7"]:
     drawn = model.poses.draw(config.random_poses * whole(batch), rng)
     return share(drawn.unflatten(0, (config.random_poses, whole(batch))), dim=1)
 
 
-def _random_shapes(model: FullModel, batch: int, config: ShapeSearchConfig, rng: torch.Generator) -> Tensor:
+def _random_shapes(
+    model: FullModel, batch: int, config: ShapeSearchConfig, rng: torch.Generator
+) -> Float[Tensor, "count B K"]:
     drawn = model.shapes.draw(config.random * whole(batch), config.spread, rng)
     return share(drawn.unflatten(0, (config.random, whole(batch))), dim=1)

@@ -39,26 +39,23 @@ _ALIKE = 1e-5
 
 @dataclass(frozen=True)
 class FirstPosesConfig:
-    """Settings of the first poses.
-
-    Attributes:
-        renderings: how many of each generator's renderings a photograph is compared with.
-        pose_reach: part of the ranges of roll and box that they cover: few photographs are at the ends.
-        box_jitter: standard deviation of errors put on their boxes, in pose coordinates: photographs' are estimates.
-        box_size: longer side of the box over the side of a cut picture.
-        temperature: of the vote, in standard deviations of a photograph's distances; small ones let the nearest decide.
-        concentration: of the votes' kernel over azimuths (von Mises); 20 is about 13 degrees wide.
-        photographs: how many get first poses, from the first on: each is compared with every rendering at once.
-    """
+    """Settings of the first poses."""
 
     renderings: Several
+    """How many of each generator's renderings a photograph is compared with."""
     pose_reach: Fraction
+    """Part of the ranges of roll and box that they cover: few photographs are at the ends."""
     box_jitter: NonNegative
+    """Standard deviation of errors put on their boxes, in pose coordinates: photographs' are estimates."""
     box_size: Positive
+    """Longer side of the box over the side of a cut picture."""
     temperature: Positive
+    """Of the vote, in standard deviations of a photograph's distances; small ones let the nearest decide."""
     concentration: Concentration
+    """Of the votes' kernel over azimuths (von Mises); 20 is about 13 degrees wide."""
     consensus: ConsensusConfig
     photographs: Several
+    """How many get first poses, from the first on: each is compared with every rendering at once."""
 
 
 @torch.no_grad()
@@ -76,7 +73,7 @@ def first_poses(
     Where the objects are is what the model's student, warmed up on renderings, says; elevation and roll are those of
     the chosen generator's renderings that vote for the azimuth.
     """
-    estimated = read_poses(model, photographs)
+    estimated = read_all_poses(model, photographs)
     cuts = cut_to_box(
         photographs.float() / 255, model.poses, estimated, config.box_size, torch.zeros_like(estimated[:, 0])
     )
@@ -93,7 +90,7 @@ def first_poses(
     return torch.cat([azimuth.cos(), azimuth.sin(), elevation_and_roll, estimated[:, 4:]], 1)
 
 
-def read_poses(model: FullModel, photographs: Images, first: int = 0) -> Float[Tensor, "_ 7"]:
+def read_all_poses(model: FullModel, photographs: Images, first: int = 0) -> Float[Tensor, "_ 7"]:
     """Return what the model reads off photographs from some one on, as pose coordinates."""
     starts = range(first, len(photographs), _CHUNK)
     return torch.cat([model.read_poses(photographs[start : start + _CHUNK].float() / 255) for start in starts])

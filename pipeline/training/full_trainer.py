@@ -31,7 +31,7 @@ from pipeline.training.checkpoint import Part
 from pipeline.training.cuda_graph import GraphedStep
 from pipeline.training.ends import EndsConfig, tell_ends
 from pipeline.training.exploration import explore
-from pipeline.training.first_poses import FirstPosesConfig, first_poses, read_poses
+from pipeline.training.first_poses import FirstPosesConfig, first_poses, read_all_poses
 from pipeline.training.full_losses import FullLoss, LossConfig
 from pipeline.training.lessons import LessonsConfig, learn_poses
 from pipeline.training.optimization import adam, falling, set_learning_rate, take_step
@@ -186,7 +186,7 @@ class FullTrainer:
         count = min(config.photographs, len(photographs))
         self._learn(torch.arange(count, device=poses.device), poses)
         if count < len(photographs):
-            read = read_poses(self.model, photographs, count)
+            read = read_all_poses(self.model, photographs, count)
             agree([read])
             poses[count:] = read
 
@@ -200,7 +200,7 @@ class FullTrainer:
             return
         poses = self.record.pose
         self._learn(surely.nonzero().flatten(), poses)
-        read = read_poses(self.model, self.photographs.images)
+        read = read_all_poses(self.model, self.photographs.images)
         agree([read])
         opposite = ~surely & ((read[:, :2] * poses[:, :2]).sum(dim=1) < 0)
         poses.copy_(torch.where(opposite[:, None], flipped(poses, 1)[0], poses))
@@ -220,14 +220,14 @@ class FullTrainer:
     def _record_told_ends(self, config: EndsConfig) -> Bool[Tensor, " N"]:
         """Turn records of the first photographs, those visited, that show the opposite ends; tell which are sure."""
         images, poses, model = self.photographs.images[: config.photographs], self.record.pose, self.model
-        read = read_poses(model, images)
+        read = read_all_poses(model, images)
         told = tell_ends(images, poses[: len(read)], read, model.poses, self.extractor, config, self.rng)
         agree([told])
         told = functional.pad(told, (0, len(poses) - len(told))) * (self.visits > 0)
         poses.copy_(torch.where(told[:, None] < 0, flipped(poses, 1)[0], poses))
         return told != 0
 
-    def _learn(self, index: Int[Tensor, " P"], poses: Float[Tensor, "N 7"]) -> None:
+    def _learn(self, index: Int[Tensor, " K"], poses: Float[Tensor, "N 7"]) -> None:
         learn_poses(self.model, self.photographs.images, index, poses[index], self.config.lessons, self.rng)
 
     def estimate(self, images: Float[Tensor, "B 3 H W"], features: Features) -> Estimate:

@@ -20,27 +20,24 @@ from pipeline.training.viewpoints import ViewpointConfig, sample_viewpoints
 
 @dataclass(frozen=True)
 class HoloGANTrainingConfig:
-    """Settings of HoloGAN's training.
-
-    Attributes:
-        learning_rate: of both networks; constant for half of the iterations, then falls linearly to zero.
-        generator_steps: steps of the generator for one of the discriminator.
-        identity: weight of the identity regularizer, the squared error of the noise read off generated pictures.
-        viewpoint: the distribution that objects are turned by.
-        curve_every: iterations that one row of the curve averages.
-        checkpoint_every: iterations between restart states.
-    """
+    """Settings of HoloGAN's training."""
 
     iterations: Count
     batch_size: Count
     learning_rate: Positive
+    """Of both networks; constant for half of the iterations, then falls linearly to zero."""
     betas: tuple[Momentum, Momentum]
     generator_steps: Count
+    """Steps of the generator for one of the discriminator."""
     identity: NonNegative
+    """Weight of the identity regularizer, the squared error of the noise read off generated pictures."""
     network: HoloGANConfig
     viewpoint: ViewpointConfig
+    """The distribution that objects are turned by."""
     curve_every: Count
+    """Iterations that one row of the curve averages."""
     checkpoint_every: Count
+    """Iterations between restart states."""
 
 
 class HoloGANTrainer:

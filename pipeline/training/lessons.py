@@ -36,8 +36,8 @@ class LessonsConfig:
 def learn_poses(
     model: FullModel,
     photographs: Images,
-    index: Int[Tensor, " P"],
-    poses: Float[Tensor, "P 7"],
+    index: Int[Tensor, " K"],
+    poses: Float[Tensor, "K 7"],
     config: LessonsConfig,
     rng: torch.Generator,
 ) -> None:

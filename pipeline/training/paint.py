@@ -11,8 +11,10 @@ from pipeline.distributed import divide
 from pipeline.networks.feature_extractor import FeatureExtractor
 
 _MAP_SIZE = 8
+"""Positions a side, at most, that feature maps are averaged to, so that thousands of pictures fit into memory."""
 _BATCH = 250
 _PROJECTION_ROUNDS = 4
+"""Of subspace iteration: few, because each passes over the features of all photographs twice."""
 _LEAST_DEVIATION = 1e-4
 """Of colours in [0, 1], below which photographs are painted alike."""
 

@@ -14,6 +14,7 @@ from pipeline.networks.pretrained import PretrainedNetwork, read_pretrained
 from pipeline.seeding import generator
 
 _PICTURES = 512
+"""Photographs, at most, whose distances, each from another one, are averaged: eight passes of `_BATCH`."""
 _BATCH = 64
 
 

@@ -48,7 +48,7 @@ def remesh_by_silhouettes(original: MappedMesh, config: SilhouetteConfig) -> Map
 
     The sphere's own vertices are the directions, so polygons of even size are a map of even areas. What no silhouette
     shows, such as a dent, is filled. Steps are taken in the coordinates (I + stiffness L) v, in which they are smooth
-    (Nicolet, Jacobson & Jakob 2021). A mirror-symmetric shape stays so. Raise MeshError when the input is not finite,
+    (Nicolet, Jacobson & Jakob 2021). A mirror-symmetric shape stays so. Raises MeshError when the input is not finite,
     closed and of genus 0, or has no extent.
     """
     check_surface(original)

@@ -13,21 +13,19 @@ from pipeline.ranges import Azimuth, Concentration, NonNegative
 from pipeline.rendering.lighting import Light
 
 _QUANTILES = 1025
+"""Points at which a cumulative distribution is tabulated: the ends of 1024 intervals, within which it is linear."""
 
 
 @dataclass(frozen=True)
 class AngleConfig:
-    """A symmetric Beta distribution stretched over an interval of degrees.
-
-    Attributes:
-        low: smallest angle in degrees.
-        high: largest angle in degrees.
-        concentration: both parameters of the Beta distribution; 1 is the uniform distribution.
-    """
+    """A symmetric Beta distribution stretched over an interval of degrees."""
 
     low: Azimuth
+    """Smallest angle in degrees."""
     high: Azimuth
+    """Largest angle in degrees."""
     concentration: Concentration
+    """Both parameters of the Beta distribution; 1 is the uniform distribution."""
 
     def __post_init__(self) -> None:
         """Raise ConfigError for an interval that ends below its start."""
@@ -37,16 +35,13 @@ class AngleConfig:
 
 @dataclass(frozen=True)
 class ViewpointConfig:
-    """The fixed distribution of viewpoints of a category (paper Table 4).
-
-    Attributes:
-        mirrored: whether half of the azimuths are negated. Photographs show objects from both sides: with azimuths of
-            one side only, as in the paper, a horse grows a head at either end.
-    """
+    """The fixed distribution of viewpoints of a category (paper Table 4)."""
 
     azimuth: AngleConfig
     elevation: AngleConfig
     mirrored: bool
+    """Whether half of the azimuths are negated. Photographs show objects from both sides: with azimuths of one side
+    only, as in the paper, a horse grows a head at either end."""
 
     def __post_init__(self) -> None:
         """Raise ConfigError for elevations beyond the poles."""

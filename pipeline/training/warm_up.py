@@ -27,31 +27,28 @@ from pipeline.training.viewpoints import LightConfig, sample_lights
 
 @dataclass(frozen=True)
 class WarmUpConfig:
-    """Settings of the warm-up.
-
-    Attributes:
-        iterations: 0 starts full training from scratch, as the paper does.
-        shape_spread: standard deviation of the shapes around the base shape, in shape parameters.
-        paint: largest part by which each colour channel of a texture or background is made brighter or darker, so that
-            the encoders meet colours that the generators seldom paint in.
-        noise: largest standard deviation of the pixel noise, so that the encoders do not rely on clean edges.
-    """
+    """Settings of the warm-up."""
 
     iterations: Natural
+    """0 starts full training from scratch, as the paper does."""
     batch_size: Count
     learning_rate: Positive
     betas: tuple[Momentum, Momentum]
     light: LightConfig
     shape_spread: NonNegative
+    """Standard deviation of the shapes around the base shape, in shape parameters."""
     paint: NonNegative
+    """Largest part by which each colour channel of a texture or background is made brighter or darker, so that the
+    encoders meet colours that the generators seldom paint in."""
     noise: NonNegative
+    """Largest standard deviation of the pixel noise, so that the encoders do not rely on clean edges."""
 
 
 class Draw(NamedTuple):
     """Everything random about a batch of renderings."""
 
     pose: Float[Tensor, "B 7"]
-    noise: Float[Tensor, "B Z"]
+    latent: Float[Tensor, "B latent"]
     """Of the generators of textures and backgrounds."""
     shape: Float[Tensor, "B K"]
     light: Light
@@ -117,14 +114,14 @@ def warm_up_loss(model: FullModel, sample: Sample) -> Float[Tensor, ""]:
 def _draw(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: torch.Generator) -> Draw:
     count, size = config.batch_size, model.config.renderer.size
     pose = model.poses.draw(count, rng)
-    noise = scenes.sample_noise(count, rng)
+    latent = scenes.sample_noise(count, rng)
     shape = model.shapes.draw(count, config.shape_spread, rng)
     light = sample_lights(config.light, count, rng)
     uniform = torch.rand(2, count, 3, 1, 1, generator=rng, device=rng.device)
     texture_paint, background_paint = 1 + config.paint * (2 * uniform - 1)
     deviation = config.noise * torch.rand(count, 1, 1, 1, generator=rng, device=rng.device)
     grain = deviation * torch.randn(count, 3, size, size, generator=rng, device=rng.device)
-    return Draw(pose, noise, shape, light, texture_paint, background_paint, grain)
+    return Draw(pose, latent, shape, light, texture_paint, background_paint, grain)
 
 
 @torch.no_grad()
@@ -132,9 +129,9 @@ def _render(model: FullModel, scenes: SceneGenerator, drawn: Draw) -> Sample:
     vertices = model.shapes(drawn.shape)
     images = render(
         Mesh(vertices, model.faces, model.directions),
-        (drawn.texture_paint * scenes.texture(drawn.noise)).clamp(0, 1),
+        (drawn.texture_paint * scenes.texture(drawn.latent)).clamp(0, 1),
         model.poses(drawn.pose, vertices),
-        (drawn.background_paint * scenes.background(drawn.noise)).clamp(0, 1),
+        (drawn.background_paint * scenes.background(drawn.latent)).clamp(0, 1),
         drawn.light,
         model.config.renderer,
     ).images

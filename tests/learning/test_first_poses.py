@@ -17,7 +17,7 @@ from pipeline.training.first_poses import (
     count_votes,
     cut_to_box,
     first_poses,
-    read_poses,
+    read_all_poses,
 )
 from pipeline.training.warm_up import warm_up
 from tests.tiny_full_model import TRAINING, photographs, photographs_of, tiny_extractor, tiny_model, tiny_scenes
@@ -104,7 +104,7 @@ def test_boxes_stay_as_the_networks_read_them() -> None:
     model, scenes, (images, _) = tiny_model(), tiny_scenes(), photographs(24)
     config = replace(CONFIG, renderings=64, consensus=replace(CONFIG.consensus, components=4))
     poses = first_poses(model, scenes, tiny_extractor(), images, config, TRAINING.warm_up.light, generator(1))
-    torch.testing.assert_close(poses[:, 4:], read_poses(model, images)[:, 4:])
+    torch.testing.assert_close(poses[:, 4:], read_all_poses(model, images)[:, 4:])
     assert poses[:, 3].abs().max() <= 0.35
 
 

@@ -24,7 +24,7 @@ from pipeline.training.curves import Curve
 from pipeline.training.ends import EndsConfig
 from pipeline.training.exploration import Best, explore, score
 from pipeline.training.fine_tune import FineTuneConfig, Outputs, PhaseConfig, fine_tune, tune
-from pipeline.training.first_poses import read_poses
+from pipeline.training.first_poses import read_all_poses
 from pipeline.training.full import train_full
 from pipeline.training.full_trainer import FullTrainer, FullTrainingConfig
 from pipeline.training.photographs import Photographs
@@ -156,7 +156,7 @@ def test_ends_are_turned_as_told_and_elsewhere_as_read(monkeypatch: pytest.Monke
     read_as_recorded = torch.tensor([True] * 7 + [False, True, False, True, False])
     read = torch.where(read_as_recorded[:, None], before, flipped(before, 1)[0])
     monkeypatch.setattr("pipeline.training.full_trainer.tell_ends", lambda images, *_: told[: len(images)])
-    monkeypatch.setattr("pipeline.training.full_trainer.read_poses", lambda *_: read)
+    monkeypatch.setattr("pipeline.training.full_trainer.read_all_poses", lambda *_: read)
     trainer.turn_round(EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 8))
     turned = (trainer.record.pose[:, :2] * before[:, :2]).sum(dim=1) < 0
     assert turned.nonzero().flatten().tolist() == [1, 3, 6, 7, 9, 11]
@@ -270,7 +270,7 @@ def test_photographs_beyond_the_first_start_from_poses_that_the_networks_read(tm
     few = replace(TRAINING, iterations=0, first_poses=replace(TRAINING.first_poses, photographs=6))
     pictures = Photographs(images, tiny_extractor(), few.batch_size, MEMORY)
     trainer, _ = train_full(few, pictures, base_mesh(), tiny_scenes(), 0, Checkpoint(tmp_path, "key"))
-    read = read_poses(trainer.model, images)
+    read = read_all_poses(trainer.model, images)
     torch.testing.assert_close(trainer.record.pose[6:], read[6:])
     assert not torch.isclose(trainer.record.pose[:6], read[:6]).all(dim=1).any()
 

@@ -19,9 +19,9 @@ class Lighting(NamedTuple):
 
     sun: Float[np.ndarray, "B 3"]
     """Unit vector towards the sun, world space."""
-    strength: Float[np.ndarray, "B"]
+    strength: Float[np.ndarray, " B"]
     """Light of the sun."""
-    ambient: Float[np.ndarray, "B"]
+    ambient: Float[np.ndarray, " B"]
     """Light of the sky."""
     sky: Float[np.ndarray, "B 3"]
     """Colour that surfaces mirror above the horizon."""
@@ -31,12 +31,12 @@ class Lighting(NamedTuple):
     """Unevenness of what surfaces mirror."""
 
     @property
-    def on_ground(self) -> Float[np.ndarray, "B"]:
+    def on_ground(self) -> Float[np.ndarray, " B"]:
         """Light that falls on level ground."""
         return (self.ambient * 1.2 + self.strength * self.sun[:, 1]).astype(np.float32)
 
     @property
-    def shadow(self) -> Float[np.ndarray, "B"]:
+    def shadow(self) -> Float[np.ndarray, " B"]:
         """Share of that light which an object keeps away."""
         return (0.35 + 0.55 * self.strength * self.sun[:, 1] / self.on_ground).astype(np.float32)
 

@@ -10,17 +10,14 @@ from pipeline.datasets.toybox.solids import Solid
 
 
 class Specimens(NamedTuple):
-    """A batch of random objects of one category.
-
-    Attributes:
-        solid: the front faces +z, up is +y, the mirror plane is x = 0; in units of its own.
-        palette: RGB reflectance in [0, 1] of each material of each object.
-        gloss: share of the surroundings that each material mirrors, range [0, 1].
-    """
+    """A batch of random objects of one category."""
 
     solid: Solid
+    """The front faces +z, up is +y, the mirror plane is x = 0; in units of its own."""
     palette: Float[np.ndarray, "B M 3"]
+    """RGB reflectance in [0, 1] of each material of each object."""
     gloss: Float[np.ndarray, " M"]
+    """Share of the surroundings that each material mirrors, range [0, 1]."""
 
 
 def vectors(x: np.ndarray | float, y: np.ndarray | float, z: np.ndarray | float) -> Float[np.ndarray, "B *points 3"]:

@@ -25,17 +25,14 @@ SCENERY_SUPERSAMPLING = 2
 
 @dataclass(frozen=True)
 class PhotographConfig:
-    """Size of the photographs and the camera their ground truth refers to.
-
-    Attributes:
-        size: pixels a side.
-        supersampling: rays a pixel along each axis for the object; even.
-        camera: the reference camera.
-    """
+    """Size of the photographs and the camera their ground truth refers to."""
 
     size: Count
+    """Pixels a side."""
     supersampling: int
+    """Rays a pixel along each axis for the object; even."""
     camera: CameraConfig
+    """The reference camera."""
 
     def __post_init__(self) -> None:
         """Raise ConfigError if the object's rays cannot be shared out among the scenery's."""

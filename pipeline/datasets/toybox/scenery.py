@@ -25,14 +25,14 @@ class Rays(NamedTuple):
 class Footprint(NamedTuple):
     """The space that each object takes up."""
 
-    half_width: Float[np.ndarray, "B"]
-    half_depth: Float[np.ndarray, "B"]
-    bottom: Float[np.ndarray, "B"]
+    half_width: Float[np.ndarray, " B"]
+    half_depth: Float[np.ndarray, " B"]
+    bottom: Float[np.ndarray, " B"]
     """Height of its lowest point."""
 
 
 def paint_scenery(
-    place: Place, rays: Rays, footprint: Footprint, shadow: Float[np.ndarray, "B"], rng: np.random.Generator
+    place: Place, rays: Rays, footprint: Footprint, shadow: Float[np.ndarray, " B"], rng: np.random.Generator
 ) -> Float[np.ndarray, "B H W 3"]:
     """Return the reflectance of what is seen; `shadow` is the share of light that the object keeps from the ground."""
     facing = rays.origin * np.array([1.0, 0.0, 1.0], np.float32)

@@ -16,7 +16,7 @@ class Solid(NamedTuple):
 
     vertices: Float[np.ndarray, "B V 3"]
     faces: Int[np.ndarray, "F 3"]
-    materials: Int[np.ndarray, "F"]
+    materials: Int[np.ndarray, " F"]
 
 
 def join(solids: Sequence[Solid]) -> Solid:

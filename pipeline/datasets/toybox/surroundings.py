@@ -28,13 +28,13 @@ class Setting(NamedTuple):
 class Place(NamedTuple):
     """The surroundings of each photograph; lengths in units of the object's longest side, colours as reflectance."""
 
-    studio: Bool[np.ndarray, "B"]
+    studio: Bool[np.ndarray, " B"]
     """In front of one colour, which is `wall`, on a floor of nearly the same."""
-    indoors: Bool[np.ndarray, "B"]
+    indoors: Bool[np.ndarray, " B"]
     """In a room: the backdrop is its wall, and no sky shows."""
-    drop: Float[np.ndarray, "B"]
+    drop: Float[np.ndarray, " B"]
     """How far below the object the ground is."""
-    distance: Float[np.ndarray, "B"]
+    distance: Float[np.ndarray, " B"]
     """How far behind the object the backdrop stands."""
     ground: Float[np.ndarray, "B 3"]
     verge: Float[np.ndarray, "B 3"]
@@ -45,7 +45,7 @@ class Place(NamedTuple):
     texture: Float[np.ndarray, "B 128 128"]
 
 
-def choose_places(setting: Setting, elevation: Float[np.ndarray, "B"], rng: np.random.Generator) -> Place:
+def choose_places(setting: Setting, elevation: Float[np.ndarray, " B"], rng: np.random.Generator) -> Place:
     """Draw random surroundings; an object that is seen from below is in the air if its category ever is."""
     count = len(elevation)
     share = rng.random(count)

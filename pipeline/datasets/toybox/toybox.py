@@ -49,19 +49,16 @@ CATEGORIES = {
 
 @dataclass(frozen=True)
 class ToyboxConfig:
-    """How many photographs to take.
-
-    Attributes:
-        seed: of everything random.
-        train_count: photographs of each category in the training split.
-        test_count: photographs of each category in the test split.
-        photograph: size and camera.
-    """
+    """How many photographs to take."""
 
     seed: Natural
+    """Of everything random."""
     train_count: Count
+    """Photographs of each category in the training split."""
     test_count: Count
+    """Photographs of each category in the test split."""
     photograph: PhotographConfig
+    """Size and camera."""
 
 
 class Chunk(NamedTuple):
