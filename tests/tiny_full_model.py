@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
@@ -190,3 +191,14 @@ def exact_regression(coordinates: Tensor) -> PoseRegression:
     """Return what a head says that knows the poses."""
     twice = 2 * torch.atan2(coordinates[..., 1], coordinates[..., 0])
     return PoseRegression(coordinates[..., :2], torch.stack([twice.cos(), twice.sin()], -1), coordinates[..., 2:])
+
+
+def scramble_paint(extractor: FeatureExtractor, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Exchange the pictures and the network's first maps within each batch."""
+    look = extractor.forward
+
+    def scrambled(pictures: Tensor) -> list[Tensor]:
+        colors, edges, *deep = look(pictures)
+        return [colors.flip(0), edges.flip(0), *deep]
+
+    monkeypatch.setattr(extractor, "forward", scrambled)

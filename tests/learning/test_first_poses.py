@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pipeline.seeding import generator
 from pipeline.training import first_poses as first_poses_module
-from pipeline.training.azimuths import ConsensusConfig
+from pipeline.training.azimuths import ConsensusConfig, join_votes
 from pipeline.training.first_poses import (
     FirstPosesConfig,
     _compare,
@@ -20,7 +20,15 @@ from pipeline.training.first_poses import (
     read_all_poses,
 )
 from pipeline.training.warm_up import warm_up
-from tests.tiny_full_model import TRAINING, photographs, photographs_of, tiny_extractor, tiny_model, tiny_scenes
+from tests.tiny_full_model import (
+    TRAINING,
+    photographs,
+    photographs_of,
+    scramble_paint,
+    tiny_extractor,
+    tiny_model,
+    tiny_scenes,
+)
 
 CONFIG = FirstPosesConfig(
     renderings=512,
@@ -141,3 +149,37 @@ def test_what_an_extractor_sees_in_the_mirror_alone_counts_too(monkeypatch: pyte
     inverted_on_the_left = torch.where(seen, photographed, 1 - photographed)
     before, after = (_compare(cuts, [rendered], extractor)[0] for cuts in (photographed, inverted_on_the_left))
     assert (after - before).abs().mean() > 0.05 * before.std()
+
+
+def test_colours_and_edges_have_no_vote(monkeypatch: pytest.MonkeyPatch) -> None:
+    extractor, (photographed, rendered) = tiny_extractor(), (photographs(12)[0] / 255).split(6)
+    before = _compare(photographed, [rendered], extractor)[0]
+    scramble_paint(extractor, monkeypatch)
+    torch.testing.assert_close(_compare(photographed, [rendered], extractor)[0], before)
+
+
+def test_elevations_are_those_that_the_chosen_base_shapes_renderings_vote_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    model, (images, _), turns = tiny_model(), photographs(12), torch.arange(72) // 2 * (2 * math.pi / 36)
+    high = torch.arange(72) % 2 == 0
+    rows = torch.stack([turns.cos(), turns.sin(), torch.where(high, 0.5, -0.5)], 1)
+    monkeypatch.setattr(model.poses, "draw", lambda *_: torch.cat([rows, torch.zeros(72, 4)], 1))
+    votes = iter([(2 + turns.cos()) * high, (2 + turns.cos()) * ~high])
+    monkeypatch.setattr(first_poses_module, "count_votes", lambda distances, _: next(votes).expand_as(distances))
+    config = replace(CONFIG, renderings=72, consensus=replace(CONFIG.consensus, rounds=0))
+    found = first_poses(model, tiny_scenes(), tiny_extractor(), images, config, TRAINING.warm_up.light, generator(1))
+    torch.testing.assert_close(found[:, 2], torch.full((12,), 0.5))
+
+
+def test_a_side_that_is_rendered_more_often_gets_no_more_votes(monkeypatch: pytest.MonkeyPatch) -> None:
+    model, (images, _), joined = tiny_model(), photographs(12), list[Tensor]()
+    turns = torch.cat([torch.zeros(400), torch.arange(72) * (2 * math.pi / 72)])
+    rows = torch.cat([torch.stack([turns.cos(), turns.sin()], 1), torch.zeros(472, 5)], 1)
+    monkeypatch.setattr(model.poses, "draw", lambda *_: rows)
+    for_the_rear = (-turns.cos()).exp()
+    monkeypatch.setattr(first_poses_module, "count_votes", lambda distances, _: for_the_rear.expand_as(distances))
+    monkeypatch.setattr(first_poses_module, "join_votes", lambda votes: (joined.append(votes), join_votes(votes))[1])
+    config = replace(CONFIG, renderings=472, consensus=replace(CONFIG.consensus, rounds=0))
+    first_poses(model, tiny_scenes(), tiny_extractor(), images, config, TRAINING.warm_up.light, generator(1))
+    assert joined[0].argmax(dim=2).unique().tolist() == [36]

@@ -13,10 +13,12 @@ from torch import Tensor
 from pipeline.datasets.images import load_images, place_images
 from pipeline.errors import TrainingDiverged
 from pipeline.evaluation.shape import proportions
+from pipeline.geometry.camera import pose_to_tensor
 from pipeline.networks.feature_extractor import extract
 from pipeline.networks.full_model import Reconstruction
 from pipeline.networks.pose_coordinates import PoseRange
 from pipeline.seeding import generator
+from pipeline.tensor_files import load_tensors
 from pipeline.training import full_trainer
 from pipeline.training.candidates import flipped
 from pipeline.training.checkpoint import Checkpoint
@@ -28,6 +30,7 @@ from pipeline.training.first_poses import read_all_poses
 from pipeline.training.full import train_full
 from pipeline.training.full_trainer import FullTrainer, FullTrainingConfig
 from pipeline.training.photographs import Photographs
+from stages.train_full import save
 from tests.tiny_full_model import (
     MODEL,
     TRAINING,
@@ -398,3 +401,62 @@ def test_the_base_shape_learns_what_all_photographs_share() -> None:
     given = proportions(base_mesh().vertices[:1])[0, 0]
     assert narrow < given < wide
     assert 0.1 < wide - narrow < 0.8  # .8 is the whole difference between the photographs
+
+
+def test_pose_networks_learn_the_ends_that_are_surely_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    (images, _), extractor = photographs(12), tiny_extractor()
+    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
+    told, lessons = torch.tensor([1.0, -1, 0, -1, 1, 1, -0.1, 1]), list[tuple[Tensor, Tensor]]()
+    trainer.visits += 1
+    trainer.visits[7] = 0
+    monkeypatch.setattr(full_trainer, "tell_ends", lambda *_: told)
+    monkeypatch.setattr(full_trainer, "learn_poses", lambda *given: lessons.append(given[2:4]))
+    trainer.turn_round(EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 8))
+    [(index, poses)] = lessons
+    assert index.tolist() == [0, 1, 3, 4, 5, 6]
+    assert torch.equal(poses, trainer.record.pose[index])
+
+
+def test_first_lessons_are_of_photographs_that_have_first_poses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert TRAINING.first_poses is not None
+    few, taught = replace(TRAINING, iterations=0, first_poses=replace(TRAINING.first_poses, photographs=6)), []
+    monkeypatch.setattr(full_trainer, "learn_poses", lambda *given: taught.append(given[2].tolist()))
+    images, _ = photographs(8)
+    train_full(
+        few,
+        Photographs(images, tiny_extractor(), few.batch_size, MEMORY),
+        base_mesh(),
+        tiny_scenes(),
+        0,
+        Checkpoint(tmp_path, "key"),
+    )
+    assert taught == [list(range(6))]
+
+
+def test_the_chosen_base_shapes_generator_warms_up() -> None:
+    (images, _), extractor, scenes = photographs(8), tiny_extractor(), tiny_scenes()
+    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
+    first, *_ = trainer.starting_from(scenes)
+    assert first.args[1] is scenes.generators[0]  # pyright: ignore[reportFunctionMemberAccess]
+
+
+def test_seeds_of_full_training_differ() -> None:
+    (images, _), extractor = photographs(8), tiny_extractor()
+    kept = Photographs(images, extractor, 8, MEMORY)
+    first, second = (FullTrainer(TRAINING, kept, base_mesh(), seed) for seed in (0, 1))
+    assert not torch.equal(first.record.pose, second.record.pose)
+    for one, other in ((first.model, second.model), (first.discriminator, second.discriminator)):
+        weights = zip(one.parameters(), other.parameters(), strict=True)
+        assert any(not torch.equal(ours, theirs) for ours, theirs in weights)
+
+
+def test_the_stage_writes_how_often_photographs_were_visited(tmp_path: Path) -> None:
+    (images, _), extractor = photographs(8), tiny_extractor()
+    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, 2**30), base_mesh(), 0)
+    trainer.visits[[1, 5]] = torch.tensor([3, 1])
+    save(trainer, tmp_path / "model.safetensors")
+    tensors, _ = load_tensors(tmp_path / "model.safetensors")
+    assert tensors["train_visits"].tolist() == [0, 3, 0, 0, 0, 1, 0, 0]
+    torch.testing.assert_close(tensors["train_pose"], pose_to_tensor(trainer.recorded_pose()))

@@ -6,7 +6,7 @@ import torch
 from pipeline.errors import MeshError
 from pipeline.geometry.camera import CameraConfig
 from pipeline.geometry.icosphere import icosphere
-from pipeline.geometry.mesh_quality import measure_remeshing
+from pipeline.geometry.mesh_quality import area_variation, measure_remeshing
 from pipeline.geometry.remeshing import MappedMesh
 from pipeline.geometry.symmetry import mirror_index, reflect
 from pipeline.geometry.topology import polygon_areas
@@ -75,3 +75,23 @@ def test_silhouette_of_a_sphere_is_its_disk() -> None:
     # Seen from 2.7 the sphere of radius 1/2 spans arcsin(0.5 / 2.7), the picture 15 degrees to each side.
     radius = torch.tensor(0.5 / 2.7).asin().tan() / torch.tensor(15.0).deg2rad().tan()
     torch.testing.assert_close(rendered.mean(dim=(1, 2)), (torch.pi * radius**2 / 4).expand(3), atol=0.01, rtol=0)
+
+
+def test_polygons_become_more_even_where_their_variance_costs() -> None:
+    original = MappedMesh(*deformed_sphere("car", 2))
+    config = replace(CONFIG, iterations=20, views=2, area_weight=0.0, renderer=replace(RENDERER, size=16))
+    free, dear = (
+        area_variation(remesh_by_silhouettes(original, replace(config, area_variance_weight=weight)))
+        for weight in (0.0, 0.1)
+    )
+    assert dear < 0.8 * free
+
+
+def test_the_fit_starts_from_the_ellipsoid_of_the_box() -> None:
+    vertices, faces, directions = deformed_sphere("car", 2)
+    still = remesh_by_silhouettes(
+        MappedMesh(vertices, faces, directions), replace(CONFIG, iterations=1, learning_rate=1e-9)
+    )
+    lower, upper = vertices.amin(dim=0), vertices.amax(dim=0)
+    expected = still.directions * (upper - lower) / 2 + (lower + upper) / 2
+    torch.testing.assert_close(still.vertices, expected, atol=1e-4, rtol=0)

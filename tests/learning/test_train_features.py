@@ -1,20 +1,24 @@
 """The network learns either task, and a killed training ends with the bytes of an uninterrupted one."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
 from torch.nn import functional
 
 from pipeline.errors import ConfigError, DataError, TrainingDiverged
+from pipeline.files import read_json
 from pipeline.networks.feature_extractor import save_feature_extractor
 from pipeline.networks.wide_resnet import WideResNet, load_wide_resnet
-from pipeline.seeding import generator
+from pipeline.seeding import generator, initialised
 from pipeline.training import features
 from pipeline.training.augmentation import to_float
 from pipeline.training.checkpoint import Checkpoint
+from pipeline.training.curves import Curve
 from pipeline.training.features import (
     FeaturesConfig,
     FeatureTrainer,
@@ -26,6 +30,8 @@ from pipeline.training.features import (
     told_right,
     train_features,
 )
+from stages import train_features as stage
+from stages.command_line import run
 
 NO_WEIGHTS = Path("none.safetensors")
 CONFIG = FeaturesConfig(
@@ -222,3 +228,35 @@ def test_pictures_are_shifted_by_up_to_the_margin() -> None:
     trainer = FeatureTrainer(config, Pictures(images, torch.arange(64) % 2), NO_WEIGHTS, torch.float32, 0)
     rows = trainer.batch(0).images.float().mean(dim=(1, 3)).argmax(dim=1)
     assert rows.unique().tolist() == [6, 7, 8, 9, 10]
+
+
+def test_momentum_is_nesterovs() -> None:
+    trainer = FeatureTrainer(CONFIG, bars(64, 0), NO_WEIGHTS, torch.float32, 0)
+    assert all(group["nesterov"] for group in trainer.optimizer.param_groups)
+
+
+def test_seeds_of_feature_training_differ() -> None:
+    first, second = (FeatureTrainer(CONFIG, bars(64, 0), NO_WEIGHTS, torch.float32, seed) for seed in (0, 1))
+    assert not torch.equal(first.network.stem.weight, second.network.stem.weight)
+    for trainer in (first, second):
+        trainer.batch(0)
+    assert not torch.equal(first.order, second.order)
+
+
+def test_the_stage_measures_on_test_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for split, count in (("train", 8), ("test", 6)):
+        (tmp_path / split).mkdir()
+        images, labels = bars(count, 0)
+        for label, name in enumerate(("plain", "post")):
+            np.save(tmp_path / split / f"{name}.npy", images[labels == label].permute(0, 2, 3, 1).numpy())
+    with initialised(0):
+        network = WideResNet(10, 1, 2)
+
+    monkeypatch.setattr(stage, "train_features", lambda *_: (network, Curve()))
+    out, metrics, curve = (tmp_path / name for name in ("features.safetensors", "metrics.json", "curve.csv"))
+    words = ["train_features", "--params", Path(__file__).parents[2] / "params.yaml", "--sections", "train_features"]
+    words += ["sizes.laptop.train_features", "--images", tmp_path / "train", "--test-images", tmp_path / "test"]
+    words += ["--initial", tmp_path / "train", "--seed", 0, "--checkpoints", tmp_path / "states", "--out", out]
+    monkeypatch.setattr(sys, "argv", [str(word) for word in [*words, "--metrics", metrics, "--curve", curve]])
+    run(stage.main)
+    assert read_json(metrics)["n"] == 6

@@ -23,7 +23,7 @@ from pipeline.training.azimuths import (
     symmetric_share,
 )
 from pipeline.training.paint import mean_colors, paintless_features, repaint
-from tests.tiny_full_model import photographs, tiny_extractor
+from tests.tiny_full_model import photographs, scramble_paint, tiny_extractor
 
 CONFIG = ConsensusConfig(
     rounds=4, smaller_end=0.0, components=32, repainting_floor=0.3, ridge=0.01, folds=5, sharpness=3.0
@@ -259,3 +259,10 @@ def test_no_photograph_is_said_by_a_regression_that_knows_it() -> None:
     features, targets = (torch.randn(2, 60, size, generator=generator(size)) for size in (60, 1))
     said = regress_held_out(features, targets, 1e-3, 5, generator(2))
     assert abs(torch.corrcoef(torch.stack([said.flatten(), targets.flatten()]))[0, 1]) < 0.3
+
+
+def test_features_know_no_colours_and_edges(monkeypatch: pytest.MonkeyPatch) -> None:
+    extractor, pictures = tiny_extractor(), photographs(12)[0] / 255
+    before = paintless_features(pictures, extractor, 4, 0.3, generator(0))
+    scramble_paint(extractor, monkeypatch)
+    torch.testing.assert_close(paintless_features(pictures, extractor, 4, 0.3, generator(0)), before)

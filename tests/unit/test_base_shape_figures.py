@@ -8,6 +8,7 @@ from pipeline.evaluation.artifacts import TrueObjects
 from pipeline.evaluation.base_shape import base_shape_figures
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.normalize import fit_unit_cube
+from stages.evaluate_base_shape import seed_names
 
 DIRECTIONS, FACES = icosphere(2)
 LONG = DIRECTIONS * torch.tensor([0.25, 0.2, 0.5])
@@ -57,3 +58,7 @@ def test_what_few_shapes_have_in_one_place_tells_the_turn_too() -> None:
         for angle in (0, math.pi)
     ]
     assert list(figures[1].values()) == pytest.approx(list(figures[0].values()), abs=0.02)
+
+
+def test_the_seed_that_was_chosen_is_named() -> None:
+    assert seed_names(torch.tensor([0.5, 0.25]), 1) == ["seed 0, score 0.50", "seed 1, score 0.25, chosen"]

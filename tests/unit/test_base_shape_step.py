@@ -10,6 +10,7 @@ from torch import Tensor
 
 from pipeline.geometry.camera import project
 from pipeline.geometry.sphere import build_sphere
+from pipeline.networks.batch_normalization import BatchNorm2d
 from pipeline.seeding import generator
 from pipeline.training import base_shape
 from pipeline.training.base_shape import SeedTrainer
@@ -79,3 +80,26 @@ def test_a_seeds_shape_is_the_mean_of_many() -> None:
         return torch.stack([trainer.shape() for _ in range(20)]).std(dim=0).mean().item()
 
     assert spread(16) < 0.5 * spread(1)
+
+
+def test_a_score_is_of_fresh_batches_that_normalise_their_textures() -> None:
+    trainer = trainer_of(score_batches=3)
+    trainer.step(0)
+    layer = next(part for part in trainer.scene.modules() if isinstance(part, BatchNorm2d))
+    assert layer.num_batches_tracked is not None
+    before = layer.num_batches_tracked.item()
+    trainer.score()
+    assert layer.num_batches_tracked.item() == before + 3
+
+
+def test_base_shapes_of_other_seeds_start_from_other_weights_and_draws() -> None:
+    extractor, sphere = tiny_extractor(), build_sphere(1, torch.device("cpu"))
+    pictures = Photographs(photographs(8)[0][..., ::2, ::2], extractor, 4, 2**30)
+    first, second = (SeedTrainer(CONFIG, sphere, pictures, seed, 0) for seed in (0, 1))
+    assert not torch.equal(first.scene.sample_noise(4, first.rng), second.scene.sample_noise(4, second.rng))
+    noise = first.scene.sample_noise(4, generator(0))
+    assert not torch.equal(first.scene.texture(noise), second.scene.texture(noise))
+
+
+def test_base_shape_learning_takes_the_betas_of_its_settings() -> None:
+    assert trainer_of(betas=(0.3, 0.7)).optimizer.defaults["betas"] == (0.3, 0.7)

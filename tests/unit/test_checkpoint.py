@@ -199,3 +199,12 @@ def test_optimizer_state_is_restored_where_the_parameters_are() -> None:
     unpack(pack(optimizer=training.optimizer), optimizer=optimizer)
     devices = {value.device.type for state in optimizer.state.values() for value in state.values()}
     assert devices == {"meta"}
+
+
+def test_the_key_depends_on_pytorchs_version(monkeypatch: pytest.MonkeyPatch) -> None:
+    def key() -> str:
+        return restart_key(None, [], 0, torch.device("cpu"), torch.float32)
+
+    before = key()
+    monkeypatch.setattr(torch, "__version__", "0.0")
+    assert key() != before

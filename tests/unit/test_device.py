@@ -7,7 +7,7 @@ import sys
 import pytest
 import torch
 
-from pipeline.device import resolve_device, resolve_precision
+from pipeline.device import prepare_process, resolve_device, resolve_precision
 from pipeline.errors import ConfigError
 
 SMALL_PAGES = 41  # PR_SET_THP_DISABLE: on some hosts a fault maps 2 MB instead of 4 kB
@@ -69,3 +69,9 @@ def test_large_tensors_come_from_memory_that_was_freed() -> None:
         return int(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
     assert page_faults("keep") < 50 < 5000 < page_faults()
+
+
+def test_matrix_products_of_a_gpu_are_not_rounded() -> None:
+    prepare_process()
+    assert torch.backends.cudnn.conv.fp32_precision == "tf32"  # pyright: ignore[reportAttributeAccessIssue]
+    assert torch.backends.cuda.matmul.fp32_precision == "ieee"

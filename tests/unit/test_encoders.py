@@ -4,7 +4,14 @@ import pytest
 import torch
 
 from pipeline.errors import ConfigError
-from pipeline.networks.encoders import CODE_NORM, LEAST_COLOR_VARIANCE, Encoder, EncoderConfig, FeatureEncoder
+from pipeline.networks.encoders import (
+    CODE_NORM,
+    LEAST_COLOR_VARIANCE,
+    Encoder,
+    EncoderBlock,
+    EncoderConfig,
+    FeatureEncoder,
+)
 from pipeline.seeding import generator, initialised
 
 CONFIGS = [(EncoderConfig("wide_resnet", 8, 1), 32), (EncoderConfig("resnet18", 8, 2), 128)]
@@ -98,3 +105,11 @@ def test_bfloat16_rounds_codes_and_gradients() -> None:
         assert rounded.dtype == torch.float32
         cosine = torch.cosine_similarity(rounded.flatten(), exact.flatten(), dim=0)
         assert 0.98 < cosine < 1 - 1e-7
+
+
+def test_a_projected_shortcut_is_of_the_normalised_and_rectified_maps() -> None:
+    with initialised(0):
+        block = EncoderBlock(8, 16, 2)
+    torch.nn.init.zeros_(block.convolution_2.weight)
+    maps = torch.randn(2, 8, 6, 6, generator=generator(0))
+    torch.testing.assert_close(block(maps), block.shortcut(block.normalize_1(maps).relu()))

@@ -216,3 +216,9 @@ def test_networks_share_in_where_objects_stand() -> None:
         told(recorded - shift), tell_ends(images, recorded, recorded, model.poses, extractor, CONFIG, generator(8))
     )
     assert not torch.allclose(told(recorded), told(recorded - shift))
+
+
+def test_noise_is_believed_little() -> None:
+    noise = torch.randn(COUNT, 2000, generator=generator(1))
+    belief = facing(noise, slants(COUNT), torch.zeros(COUNT, 1), CONFIG, generator(6))
+    assert belief.abs().mean() < 0.5

@@ -1,5 +1,6 @@
 """What fine-tuning keeps, and in which order it goes on (paper section 3.2.4)."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -84,3 +85,28 @@ def test_the_summary_counts_photographs_whose_distance_fell() -> None:
         "lowered": 0.75,
         "photographs": 4,
     }
+
+
+def test_starts_are_compared_by_the_weighted_maps(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    met: list[Tensor] = []
+
+    def met_distance(outputs: Outputs, distance: fine_tuning.Loss, flips: int) -> None:
+        met.append(distance(outputs.reconstruct()))
+        assert flips == FINE_TUNING.flipped_poses
+
+    monkeypatch.setattr(fine_tuning, "choose_start", met_distance)
+    monkeypatch.setattr(fine_tuning, "tune", lambda *_: None)
+    for factor in (1.0, 2.0):
+        config = replace(FINE_TUNING, map_weights=tuple(factor * weight for weight in FINE_TUNING.map_weights))
+        checkpoint = Checkpoint(tmp_path / str(factor), "key")
+        fine_tune(config, photographs(2)[0], tiny_model().eval(), tiny_extractor(), checkpoint)
+    torch.testing.assert_close(met[1], 2 * met[0])
+
+
+def test_it_starts_from_a_flipped_view_that_fits_better() -> None:
+    outputs = outputs_of(2)
+    student = outputs.values["pose"].clone()
+    outputs.heads[:] = student[:, None]
+    rear = torch.atan2(-student[:, 1], -student[:, 0])
+    choose_start(outputs, lambda found: 1 - (found.pose.azimuth - rear).cos(), 3)
+    torch.testing.assert_close(outputs.values["pose"], torch.cat([-student[:, :2], student[:, 2:]], 1))

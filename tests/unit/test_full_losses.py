@@ -9,10 +9,12 @@ import torch
 from torch import Tensor, nn
 
 from pipeline.errors import ConfigError
+from pipeline.losses.image_distance import feature_distance
 from pipeline.losses.smoothness import SmoothnessConfig
 from pipeline.networks.discriminator import ViewDiscriminator
+from pipeline.networks.full_model import Reconstruction
 from pipeline.networks.pose_decoder import regression_error
-from pipeline.seeding import generator
+from pipeline.seeding import generator, initialised
 from pipeline.training import full_trainer
 from pipeline.training.candidates import Record
 from pipeline.training.exploration import Best
@@ -235,3 +237,35 @@ def test_the_rate_of_full_training_cools_down() -> None:
         trainer.step(iteration)
         rates.append(trainer.optimizer.param_groups[0]["lr"])
     assert rates == pytest.approx([1e-3, 1e-3, 1e-3, 5e-4])
+
+
+def test_a_step_moves_the_discriminator_too() -> None:
+    trainer = trainer_of()
+    before = {name: value.clone() for name, value in trainer.discriminator.named_parameters()}
+    trainer.step(0)
+    assert all(not torch.equal(before[name], value) for name, value in trainer.discriminator.named_parameters())
+
+
+def test_full_training_takes_the_betas_of_its_settings() -> None:
+    assert trainer_of().optimizer.defaults["betas"] == TRAINING.betas
+
+
+def test_reconstruction_is_the_mean_over_photographs() -> None:
+    trainer = trainer_of()
+    trainer.loss.config = replace(UNWEIGHTED, deepest_map=1.0)
+    images, features = trainer.photographs.batch(torch.arange(4))
+    estimate, model = trainer.estimate(images, features), trainer.model
+    record = Record(photographs(4)[1], model.shapes.draw(4, 0.5, generator(3)))
+    vertices = model.shapes(record.shape)
+    pose = model.poses(record.pose, vertices)
+    drawn = model.render(Reconstruction(vertices, estimate.texture_maps, pose, estimate.backgrounds))
+    terms = trainer.loss.terms(features, estimate, Best(record, torch.zeros(4).long()), generator(1))
+    expected = feature_distance(features, trainer.extractor(drawn))
+    torch.testing.assert_close(terms["reconstruction"], expected.sum() / 4)
+
+
+def test_the_discriminator_judges_by_the_view() -> None:
+    with initialised(0):
+        discriminator = ViewDiscriminator(4, 7).eval()
+    images, views = torch.rand(4, 3, 32, 32, generator=generator(0)), torch.rand(4, 7, generator=generator(1))
+    assert not torch.isclose(discriminator(images, views), discriminator(images, views.roll(1, 0)), atol=1e-3).any()

@@ -9,7 +9,7 @@ import torch
 from pipeline.errors import ConfigError
 from pipeline.geometry.icosphere import icosphere
 from pipeline.geometry.symmetry import mirror_index, reflect
-from pipeline.networks.generators import ImageGenerator, ShapeGenerator, SpherePad
+from pipeline.networks.generators import ImageGenerator, LinearUpsample, ShapeGenerator, SpherePad
 from pipeline.networks.scene_generator import (
     ConstraintConfig,
     GeneratorConfig,
@@ -150,3 +150,22 @@ def test_the_offset_scale_scales_offsets() -> None:
         with initialised(0):
             made.append(ShapeGenerator(4, 8, 5, scale)(latent))
     torch.testing.assert_close(made[1], 3 * made[0])
+
+
+def test_untrained_backgrounds_differ_in_colour() -> None:
+    model = build()
+    backgrounds = model(model.sample_noise(200, generator(1))).backgrounds
+    assert backgrounds.std(dim=0).mean() > 0.04
+
+
+def test_rows_are_stretched_linearly() -> None:
+    rows = torch.tensor([[[0.0, 1.0, 3.0], [3.0, 3.0, 3.0]]])
+    expected = torch.tensor([[[0.0, 0.25, 0.75, 1.5, 2.5, 3.0], [3.0] * 6]])
+    torch.testing.assert_close(LinearUpsample(6)(rows), expected)
+
+
+def test_first_shapes_are_the_initial_ones() -> None:
+    with initialised(0):
+        network = ShapeGenerator(16, 32, 42, 1.0)
+    offsets = network(torch.randn(64, 16, generator=generator(0)))
+    assert 0 < offsets.abs().max() < 0.02

@@ -159,3 +159,51 @@ def test_the_generator_gains_by_passing_for_photographs_and_showing_its_latent(m
     assert totals[1] < totals[0]
     expected = functional.softplus(-score).mean() + 3 * (read - draw[0]).square().mean()
     torch.testing.assert_close(totals[1], expected)
+
+
+def test_the_discriminator_gains_by_telling_photographs_and_reading_the_latent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    totals: list[Tensor] = []
+    monkeypatch.setattr(hologan, "take_step", lambda loss, _: totals.append(loss.detach()))
+    trainer = HoloGANTrainer(replace(TRAINING, identity=3.0), PHOTOGRAPHS[:1], 0)
+    trainer.discriminator.eval()  # spectral normalisation stands still
+    latent = trainer.generator.sample_latent(3, generator(0))
+    with torch.no_grad():
+        generated = trainer.generator(latent, torch.zeros(3), torch.zeros(3))
+        score, read = trainer.discriminator(generated)
+        real, _ = trainer.discriminator(2 * (PHOTOGRAPHS[:1] / 255) - 1)
+    trainer._improve_discriminator(generated, latent)
+    expected = functional.softplus(-real).mean() + functional.softplus(score).mean()
+    torch.testing.assert_close(totals, [expected + 3 * (read - latent).square().mean()])
+
+
+def test_a_step_is_as_the_settings_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    trainer, stepped, views = HoloGANTrainer(replace(TRAINING, generator_steps=3), PHOTOGRAPHS, 0), [], list[Tensor]()
+    monkeypatch.setattr(hologan, "take_step", lambda _, optimizer: stepped.append(optimizer))
+    trainer.generator.register_forward_pre_hook(lambda _, arguments: views.append(torch.stack(arguments[1:])))
+    rates = []
+    for iteration in range(6):
+        trainer.step(iteration)
+        rates.append(trainer.generator_optimizer.param_groups[0]["lr"])
+    assert rates == pytest.approx([1e-3] * 4 + [2e-3 / 3, 1e-3 / 3])
+    assert stepped == [trainer.discriminator_optimizer, *[trainer.generator_optimizer] * 3] * 6
+    assert all(torch.equal(views[0], seen) for seen in views[:4])
+    azimuth, elevation = torch.stack(views[::4]).transpose(0, 1).flatten(1)
+    assert len(azimuth.unique()) == len(elevation.unique()) == 18
+    assert azimuth.max() > math.pi
+    assert 0 <= elevation.min() < elevation.max() <= math.radians(35)
+
+
+def test_seeds_of_hologan_differ() -> None:
+    first, second = (HoloGANTrainer(TRAINING, PHOTOGRAPHS, seed) for seed in (0, 1))
+    assert not torch.equal(first.generator.output.weight, second.generator.output.weight)
+    latents = [trainer.generator.sample_latent(3, trainer.rng) for trainer in (first, second)]
+    assert not torch.equal(*latents)
+
+
+def test_elevations_of_views_are_degrees() -> None:
+    network = _generator().eval()
+    latent, azimuths = network.sample_latent(2, generator(0)), torch.tensor([0.0, 1.0])
+    drawn = network(latent, azimuths[1:].expand(2), torch.full((2,), math.radians(10)))
+    torch.testing.assert_close(draw_views(network, latent, azimuths, 10.0)[:, 1], (drawn.detach() + 1) / 2)

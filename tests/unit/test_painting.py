@@ -11,9 +11,11 @@ from torch import Tensor
 
 from pipeline.config import load
 from pipeline.errors import ConfigError
+from pipeline.export import painting
 from pipeline.export.painting import PaintingConfig, find_object, minimize_quadratic, paint
 from pipeline.geometry.camera import CameraConfig, Pose
 from pipeline.rendering.renderer import RendererConfig, render
+from pipeline.seeding import generator
 from tests.scenes import smooth_textures
 from tests.tiny_full_model import base_mesh
 
@@ -130,3 +132,33 @@ def test_a_texture_size_that_cannot_be_halved_is_refused(tmp_path: Path) -> None
         ConfigError, match=r"'paint\.texture_size' is 48; expected a whole number, a power of two from 4"
     ):
         load(tmp_path / "params.yaml", PaintingConfig, ["paint"])
+
+
+def test_pixels_count_by_the_square_of_the_cosine_at_which_they_see_the_surface(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    costs: list[Tensor] = []
+    monkeypatch.setattr(painting, "find_object", lambda _, covered, __: covered)
+    monkeypatch.setattr(painting, "minimize_quadratic", lambda loss, none, _: (costs.append(loss(none)), none)[1])
+    seen = painting._look(MESH, pose(1.2), CAMERA, 64)
+    places = seen.covered.nonzero()[::40]
+    for row, column in places:
+        photograph = torch.full((3, 64, 64), 0.5)
+        photograph[:, row, column] = 1.0  # a quarter is the squared error of each channel
+        painting.paint(MESH, GREY, pose(1.2), photograph, CAMERA, True, CONFIG)
+    facing = seen.facing[places[:, 0], places[:, 1]]
+    assert facing.min() < 0.5 < 0.9 < facing.max()
+    torch.testing.assert_close(torch.stack(costs), 0.75 * facing.square() / CONFIG.noise**2)
+
+
+def test_enlarged_maps_have_no_seam_behind() -> None:
+    values = torch.rand(3, 8, 8, generator=generator(0))
+    stretched = painting._stretch(values, 32)
+    torch.testing.assert_close(painting._stretch(values.roll(3, dims=-1), 32), stretched.roll(12, dims=-1))
+
+
+def test_noise_counts_as_a_deviation_as_that_of_the_maps_does() -> None:
+    photograph = torch.rand(3, 64, 64, generator=generator(0))
+    both = (replace(CONFIG, deviation=factor * 0.15, noise=factor * 0.1, iterations=5) for factor in (1, 2))
+    one, other = (painting.paint(MESH, GREY, pose(1.2), photograph, CAMERA, True, config) for config in both)
+    torch.testing.assert_close(one, other, atol=1e-3, rtol=0)

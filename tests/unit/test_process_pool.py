@@ -1,5 +1,6 @@
 """Pools of processes end with what started them, however often that is told to stop."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -7,6 +8,9 @@ import time
 from pathlib import Path
 
 import pytest
+import torch
+
+from pipeline.launch import divided_threads
 
 SCRIPT = """
 import signal, time
@@ -31,3 +35,12 @@ def test_a_pool_that_is_told_twice_to_stop_ends_at_once(tmp_path: Path, second: 
         time.sleep(0.05)
         process.send_signal(second)
         assert process.wait(timeout=30) in (130, -second)  # by the second where it met the very end
+
+
+def test_threads_are_divided_among_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch, "get_num_threads", lambda: 6)
+    before = dict(os.environ)
+    for processes, threads in ((2, "3"), (4, "1"), (9, "1")):
+        with divided_threads(processes):
+            assert {os.environ[f"{name}_NUM_THREADS"] for name in ("OMP", "MKL", "NUMBA")} == {threads}
+    assert dict(os.environ) == before

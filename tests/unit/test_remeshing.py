@@ -5,11 +5,14 @@ from collections.abc import Callable
 from ctypes.util import find_library
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
+from torch import Tensor
 
 from pipeline.errors import MeshError
+from pipeline.geometry import remeshing
 from pipeline.geometry.mesh_quality import area_variation, measure_map, measure_remeshing, surface_distance
 from pipeline.geometry.remeshing import IsotropicConfig, MappedMesh, remesh_isotropic
 from pipeline.geometry.sphere_map import SphereMapConfig
@@ -163,3 +166,19 @@ def test_sphere_maps_to_itself_without_distortion() -> None:
     assert area_variation(sphere) < 0.2
     assert measure_map(sphere)["map_area_distortion"] < 1.001
     assert measure_map(MappedMesh(vertices, faces, directions))["map_area_distortion"] > 1.1
+
+
+def test_the_attempt_nearest_to_the_target_is_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, remesh = list[int](), remeshing.isotropic_remeshing
+
+    def worse_at_last(vertices: Tensor, faces: Tensor, edge_length: float, *rest: Any) -> tuple[Tensor, Tensor]:
+        found = remesh(vertices, faces, edge_length * (2 if len(made) == 2 else 1), *rest)
+        made.append(len(found[1]))
+        return found
+
+    monkeypatch.setattr(remeshing, "isotropic_remeshing", worse_at_last)
+    mesh = remeshing.MappedMesh(*deformed_sphere("car", 2))
+    config = replace(ISOTROPIC, target_faces=400, attempts=3, iterations=3)
+    found = remeshing.remesh_isotropic(mesh, config, replace(SPHERE_MAP, iterations=1))
+    assert min(made, key=lambda count: abs(count - 200)) != made[2]
+    assert abs(len(found.faces) - 400) < 100

@@ -380,3 +380,21 @@ def test_textured_view_keeps_its_colour_up_to_the_edge() -> None:
     view = render_textured(sphere.float() / 2, faces, sphere.float(), red, [math.degrees(1)], CAMERA, VIEW)[0]
     covered = view[3] > 0.05
     torch.testing.assert_close(view[0][covered], torch.ones(int(covered.sum())), atol=1e-3, rtol=0)
+
+
+def test_clay_is_lit_from_the_upper_left() -> None:
+    sphere, faces = icosphere(3)
+    for view in render_clay(sphere / 2, faces, [0.0, 120.0], CAMERA, VIEW):
+        brightness, covered = view[0], view[3] == 1
+        rows, columns = torch.meshgrid(torch.arange(24) - 11.5, torch.arange(24) - 11.5, indexing="ij")
+        left, right, upper, lower = (
+            brightness[covered & half].mean() for half in (columns < 0, columns > 0, rows < 0, rows > 0)
+        )
+        assert left > right + 0.05
+        assert upper > lower + 0.05
+
+
+def test_random_examples_are_drawn_by_the_seed() -> None:
+    given = inputs(truth=False)
+    chosen = {tuple(choose_examples(given, replace(CONFIG, seed=seed))[1].tolist()) for seed in range(8)}
+    assert len(chosen) > 1

@@ -3,10 +3,18 @@ import math
 import pytest
 import torch
 from torch import Tensor
+from torch.nn import functional
 
 from pipeline.geometry.halves import border_loop, cut_half
 from pipeline.geometry.icosphere import icosphere
-from pipeline.geometry.sphere_map import SphereMapConfig, area_distortion, map_to_sphere, solid_angles
+from pipeline.geometry.sphere_map import (
+    SphereMapConfig,
+    _adjacency,
+    _unfold,
+    area_distortion,
+    map_to_sphere,
+    solid_angles,
+)
 from tests.deformed_spheres import SHAPES, deformed_sphere
 
 CONFIG = SphereMapConfig(iterations=60, correction=0.5)
@@ -60,3 +68,15 @@ def test_folded_map_has_infinite_distortion() -> None:
     folded = vertices.clone()
     folded[0] = -folded[0]
     assert area_distortion(vertices, faces, folded) == math.inf
+
+
+def test_a_border_that_is_unfolded_stays_on_its_great_circle() -> None:
+    directions, faces = icosphere(2)
+    vertices, faces = cut_half(directions.double(), faces, directions)
+    loop = border_loop(faces)
+    side = torch.ones(len(vertices), dtype=torch.int64).index_fill(0, loop, 0)
+    folded = vertices.clone()
+    folded[loop[0]] = functional.normalize(2 * vertices[loop[2]] - 0.5 * vertices[loop[0]], dim=0)
+    mapped = _unfold(folded, faces, _adjacency(faces), side)
+    assert not torch.equal(mapped, folded)
+    assert (mapped[loop, 0].abs() < 1e-12).all()

@@ -26,6 +26,7 @@ from pipeline.files import sha256
 from pipeline.geometry.camera import CameraConfig, Pose, project
 from pipeline.geometry.icosphere import icosphere
 from pipeline.rendering.rasterize import rasterize
+from pipeline.seeding import generator
 
 CAMERA = CameraConfig(distance=2.7, field_of_view=30)
 CONFIG = PhotographConfig(size=32, supersampling=4, camera=CAMERA)
@@ -216,3 +217,23 @@ def test_no_background_colour_solves_the_mask(category: str) -> None:
     best = max(iou(distance > threshold, masks).mean() for threshold in np.linspace(0.05, 0.6, 12))
     assert best < 0.5
     assert (border.std(axis=1).mean(axis=1) < 0.05).mean() < 0.15
+
+
+def test_toyboxes_of_other_seeds_are_others() -> None:
+
+    first, second = (make_toybox(ToyboxConfig(seed, 1, 1, CONFIG)) for seed in (0, 1))
+    for split in ("train", "test"):
+        assert not any(np.array_equal(first.images[split][name], second.images[split][name]) for name in CATEGORIES)
+
+
+def test_objects_are_rolled_and_fill_the_picture_as_their_category_says() -> None:
+
+    cube = torch.rand(2000, 8, 3, generator=generator(0)) - 0.5
+    for category in CATEGORIES.values():
+        viewpoints = category.viewpoints
+        found = choose_poses(viewpoints, cube, CAMERA, np.random.default_rng(0))
+        assert found.roll.rad2deg().std().item() == pytest.approx(viewpoints.roll, rel=0.1)
+        seen = project(cube, found, CAMERA)[..., :2]
+        lower, upper = seen.amin(dim=1), seen.amax(dim=1)
+        assert (upper - lower).amax(dim=1).mean().item() / 2 == pytest.approx(viewpoints.fill, abs=0.02)
+        assert ((lower + upper) / 2).std().item() == pytest.approx(0.07, rel=0.1)
