@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 import shutil
 import signal
 import subprocess
@@ -52,14 +53,20 @@ def _outputs(folder: Path, stage: str) -> list[Path]:
 
 
 def test_the_chain_ends_with_metrics_and_a_page(project: Path) -> None:
-    metrics = json.loads((project / "results/metrics/toybox-car.json").read_text())
-    assert {"acc_pi6", "n"} <= set(json.dumps(metrics).replace('"', " ").split())
+    metrics = read_json(project / "results/metrics/toybox-car.json")
+    counts = read_params(project)["prepare_data"]["toybox"]
+    assert metrics["pose"]["test"]["n"] == metrics["shape"]["test"]["mask_iou"]["n"] == counts["test_count"]
+    visits = load_tensors(project / "models/full/toybox-car.safetensors")[0]["train_visits"]
+    assert len(visits) == counts["train_count"]
+    assert metrics["pose"]["train"]["n"] == (visits > 0).sum()
     baseline = read_json(project / "results/metrics/toybox-car-hologan.json")
     assert metrics["multiview"].keys() - baseline["multiview"].keys() == {"own_network"}
     assert (project / "results/figures/hologan/toybox-car.png").stat().st_size > 0
     page = (project / "results/report/toybox-car/index.html").read_text()
     assert "toybox-car" in page
     assert "default-src 'none'" in page
+    best = read_json(project / "results/metrics/base_shape/toybox-car.json")["best_seed"]
+    assert re.search(rf"seed {best} · score [\d.]+ <b>chosen</b>", page)
 
 
 def test_a_second_run_does_nothing(project: Path) -> None:

@@ -162,7 +162,11 @@ def test_every_figure_has_n_and_standard_error(learned: ChainResult, training: T
     figures, table = evaluate_truth(learned, training, truth, CONFIG)
     visited = figures["pose"].pop("train")
     for rows in (figures["pose"].values(), figures["shape"]["test"].values(), [figures["shape"]["base"]["voxel_iou"]]):
-        assert all(row["n"] == COUNT and row["standard_error"] >= 0 for row in rows)
+        assert {row["n"] for row in rows} == {COUNT}
+    for row in (figures["pose"][name] for name in ("test", "test_tuned", "constant")):
+        assert row["standard_error"] == pytest.approx((row["acc_pi6"] * (1 - row["acc_pi6"]) / (COUNT - 1)) ** 0.5)
+    overlap = figures["shape"]["test"]["voxel_iou"]
+    assert overlap["standard_error"] == pytest.approx((table["voxel_iou_predicted"].std() / COUNT**0.5).item())
     assert visited["n"] == len(VISITED)
     assert all(len(column) == COUNT for column in table.values())
 

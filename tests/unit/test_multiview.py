@@ -144,7 +144,6 @@ def test_reconstructions_are_measured_from_all_around(framing: str) -> None:
     assert _aspect(side) > 1.3 * _aspect(end), "a long body is longer from its side (100 degrees) than from its end"
     figures = evaluate_views(found, model, tiny_extractor(), config, 5)
     assert figures["own_network"]["n"] == figures["n"] == 2
-    assert 0 <= figures["own_network"]["error_degrees"]["value"] <= 180
 
 
 def test_one_object_is_too_few(views: Tensor) -> None:
