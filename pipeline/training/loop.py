@@ -57,12 +57,17 @@ def run_training(
     where a loss or a weight is not finite, before the next restart state is written.
     """
     prepared, first, curve, recent = _restore(trainer, checkpoint) or (0, 0, Curve(), [])
+
+    def save(done: int) -> None:
+        tensors = pack(**trainer.parts())
+        require_finite(tensors, max(done - 1, 0), name)
+        values = {"prepared": prepared, "iteration": done, "rows": curve.rows, "recent": recent}
+        checkpoint.save(tensors, values)
+
     for call in prepare[prepared:]:
         call()
         prepared += 1
-        tensors = pack(**trainer.parts())
-        require_finite(tensors, 0, name)
-        checkpoint.save(tensors, {"prepared": prepared, "iteration": 0, "rows": [], "recent": []})
+        save(0)
     unread: list[Mapping[str, Float[Tensor, ""]]] = []
     total = schedule.iterations
     last = total if until is None else until
@@ -77,10 +82,7 @@ def run_training(
             curve.append(done, **_means(recent), **observe(iteration))
             recent = []
         if is_saved:
-            tensors = pack(**trainer.parts())
-            require_finite(tensors, iteration, name)
-            values = {"prepared": prepared, "iteration": done, "rows": curve.rows, "recent": recent}
-            checkpoint.save(tensors, values)
+            save(done)
     return curve
 
 
