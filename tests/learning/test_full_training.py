@@ -423,15 +423,8 @@ def test_first_lessons_are_of_photographs_that_have_first_poses(
     assert TRAINING.first_poses is not None
     few, taught = replace(TRAINING, iterations=0, first_poses=replace(TRAINING.first_poses, photographs=6)), []
     monkeypatch.setattr(full_trainer, "learn_poses", lambda *given: taught.append(given[2].tolist()))
-    images, _ = photographs(8)
-    train_full(
-        few,
-        Photographs(images, tiny_extractor(), few.batch_size, MEMORY),
-        base_mesh(),
-        tiny_scenes(),
-        0,
-        Checkpoint(tmp_path, "key"),
-    )
+    pictures = Photographs(photographs(8)[0], tiny_extractor(), few.batch_size, MEMORY)
+    train_full(few, pictures, base_mesh(), tiny_scenes(), 0, Checkpoint(tmp_path, "key"))
     assert taught == [list(range(6))]
 
 
@@ -454,7 +447,7 @@ def test_seeds_of_full_training_differ() -> None:
 
 def test_the_stage_writes_how_often_photographs_were_visited(tmp_path: Path) -> None:
     (images, _), extractor = photographs(8), tiny_extractor()
-    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, 2**30), base_mesh(), 0)
+    trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
     trainer.visits[[1, 5]] = torch.tensor([3, 1])
     save(trainer, tmp_path / "model.safetensors")
     tensors, _ = load_tensors(tmp_path / "model.safetensors")

@@ -251,7 +251,6 @@ def test_the_stage_measures_on_test_pictures(tmp_path: Path, monkeypatch: pytest
             np.save(tmp_path / split / f"{name}.npy", images[labels == label].permute(0, 2, 3, 1).numpy())
     with initialised(0):
         network = WideResNet(10, 1, 2)
-
     monkeypatch.setattr(stage, "train_features", lambda *_: (network, Curve()))
     out, metrics, curve = (tmp_path / name for name in ("features.safetensors", "metrics.json", "curve.csv"))
     words = ["train_features", "--params", Path(__file__).parents[2] / "params.yaml", "--sections", "train_features"]

@@ -88,7 +88,7 @@ def test_every_encoder_and_decoder_of_pictures_and_poses_learns() -> None:
             assert any(weight.grad is not None and weight.grad.any() for weight in network.parameters()), part
 
 
-def test_c03c_the_warm_up_takes_the_betas_of_its_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_warm_up_takes_the_betas_of_its_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[Any] = []
     monkeypatch.setattr(module, "adam", lambda *words: (given.append(words[1:]), adam(*words))[1])
     config = replace(TRAINING.warm_up, iterations=1, betas=(0.3, 0.7))

@@ -95,13 +95,8 @@ WHOLE_CHAIN = {
     "feature distance": "reconstruction.predicted.feature_distance",
     "fine-tuned distance": "reconstruction.tuned.feature_distance",
 }
-WHOLE_CHAIN_IN_SHORT = {
-    "acc_pi/6 predicted": "pose.test.acc_pi6",
-    "fine-tuned": "pose.test_tuned.acc_pi6",
-    "shape IoU": "shape.test.voxel_iou",
-    "mask IoU": "shape.test.mask_iou",
-    "fine-tuned mask IoU": "shape.test_tuned.mask_iou",
-}
+IN_SHORT = ("acc_pi/6 predicted", "fine-tuned", "shape IoU", "mask IoU", "fine-tuned mask IoU")
+WHOLE_CHAIN_IN_SHORT = {heading: WHOLE_CHAIN[heading] for heading in IN_SHORT}
 CONSISTENCY = {
     "azimuths read within 30°": "multiview.acc_pi6",
     "error, °": "multiview.error_degrees",

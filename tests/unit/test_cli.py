@@ -31,11 +31,9 @@ from pipeline.cli.outputs import Found
 from pipeline.cli.photographs import Target, Task, list_tasks
 from pipeline.cli.reconstruct import Settings, Steps, _way
 from pipeline.cli.runs import Run
-from pipeline.config import load
 from pipeline.datasets.decoding import Fit, decode
 from pipeline.errors import DataError
 from pipeline.export.animation import write_gif, write_mp4
-from pipeline.export.report import ReportConfig
 from pipeline.export.views import ViewConfig, on_white, render_textured
 from pipeline.geometry.camera import CameraConfig, pose_to_tensor
 from pipeline.networks.feature_extractor import extract, load_feature_extractor, save_feature_extractor
@@ -45,6 +43,7 @@ from pipeline.tensor_files import load_tensors, save_tensors
 from tests.fresh_params import write_fresh_params
 from tests.learning.test_full_training import FINE_TUNING
 from tests.picture_trees import picture, write_folder
+from tests.report_inputs import CONFIG as REPORT
 from tests.tiny_full_model import base_mesh, photographs, tiny_model
 from tests.unit.test_painting import CONFIG as PAINT
 
@@ -782,19 +781,17 @@ def test_an_animation_is_endless_and_as_fast_as_asked(tmp_path: Path) -> None:
 
 
 def test_mirror_symmetric_textures_alone_are_painted_alike() -> None:
-    report = load(Path(__file__).parents[2] / "params.yaml", ReportConfig, ["report"])
     for mirror in (True, False):
         model = tiny_model(mirror_texture=mirror)
-        assert writing(model, Reading(32, "crop"), ["mesh"], report, PAINT).mirror_texture == mirror
+        assert writing(model, Reading(32, "crop"), ["mesh"], REPORT, PAINT).mirror_texture == mirror
 
 
 def test_a_folder_holds_reconstructions_by_one_network_of_features(tmp_path: Path) -> None:
-    report = load(Path(__file__).parents[2] / "params.yaml", ReportConfig, ["report"])
     run, ways = Run(tmp_path, "car", "laptop", "toybox", "features"), []
     for folder in ("full", "features"):
         (tmp_path / "models" / folder).mkdir(parents=True)
     (tmp_path / "models/full/car.safetensors").write_bytes(b"model")
     for content in (b"first", b"second"):
         (tmp_path / "models/features/features.safetensors").write_bytes(content)
-        ways.append(_way(run, Settings(FINE_TUNING, PAINT, "crop", report), Steps(False, False)))
+        ways.append(_way(run, Settings(FINE_TUNING, PAINT, "crop", REPORT), Steps(False, False)))
     assert ways[0] != ways[1]

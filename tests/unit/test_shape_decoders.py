@@ -8,20 +8,12 @@ import torch
 
 from pipeline.errors import ConfigError
 from pipeline.geometry.symmetry import mirror_index, reflect
-from pipeline.networks.shapes import BaseLearningConfig, FreeFormShapes, OffsetShapes, ShapeConfig, ShapeDecoder
+from pipeline.networks.shapes import BaseLearningConfig, FreeFormShapes, OffsetShapes, ShapeDecoder
 from pipeline.seeding import generator, initialised
-from tests.tiny_full_model import base_mesh
+from tests.tiny_full_model import MODEL, base_mesh
 
 BASE = base_mesh().vertices[0]
-
-
-CONFIG = ShapeConfig(
-    mirror=True,
-    grid_reach=0.1,
-    dimension_reach=0.5,
-    base_learning=BaseLearningConfig(4.0, 2.0, mirror=True),
-    offset_reach=0.1,
-)
+CONFIG = replace(MODEL.shape, dimension_reach=0.5)
 
 
 def free_form(mirror: bool) -> FreeFormShapes:
