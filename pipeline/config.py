@@ -30,11 +30,11 @@ class _Leaf:
 class _Loader(yaml.SafeLoader):
     """Read YAML, but refuse a key that stands twice in a section, of which others take the last one.
 
-    Numbers are those that DVC reads and writes: 5e-05 is one, 0100 is 100 and 1:30 is text.
+    Numbers are those that DVC reads and writes: 5e-05 is one, 0100 is 100 and 1:30 is text, as dates are here.
     """
 
     yaml_implicit_resolvers: ClassVar = {
-        first: [(tag, form) for tag, form in resolvers if not tag.endswith((":int", ":float"))]
+        first: [(tag, form) for tag, form in resolvers if not tag.endswith((":int", ":float", ":timestamp"))]
         for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
     }
 
@@ -63,6 +63,10 @@ _Loader.add_implicit_resolver(
     list("-+0123456789"),
 )
 _Loader.add_constructor("tag:yaml.org,2002:int", lambda _, node: _whole_number(node.value.replace("_", "")))
+
+
+_NO_YAML = (yaml.YAMLError, ValueError, KeyError, AttributeError)
+"""What reading raises: PyYAML leaves to Python what is wrong in a number, a truth value or a date that has a tag."""
 
 
 def _whole_number(text: str) -> int:
@@ -121,7 +125,7 @@ def _read(path: Path) -> dict[str, Any]:
         document = _parse(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise ConfigError(f"{path} does not exist; run this in the project's folder or name it: --project") from None
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except _NO_YAML as error:
         raise ConfigError(f"{path} is not valid YAML: {' '.join(str(error).split())}") from None
     if not isinstance(document, dict):
         raise ConfigError(f"{path} must hold sections of keys and values")

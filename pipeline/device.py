@@ -73,7 +73,7 @@ def _multiplies_bfloat16(device: torch.device) -> bool:
 
 def resolve_memory(gibibytes: Any) -> int:
     """Turn the parameter `memory` into bytes. Raises ConfigError for anything but a number above zero."""
-    if isinstance(gibibytes, bool) or not isinstance(gibibytes, int | float) or not 0 < gibibytes < math.inf:
+    if isinstance(gibibytes, bool) or not isinstance(gibibytes, int | float) or not 0 < gibibytes * 2**30 < math.inf:
         raise ConfigError(f"memory is {gibibytes!r}; expected a number of GiB above 0, such as 8")
     return int(gibibytes * 2**30)
 

@@ -81,18 +81,17 @@ def in_one_sentence() -> Iterator[None]:
         # What is still to be printed, which Python tries once more at its end, goes nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(_UNREAD)
-    except OSError as error:
-        if error.errno not in _OUTSIDE:
+    except (OSError, MemoryError, RuntimeError) as error:
+        if lacks_memory(error):
+            reason = str(error).partition("\n")[0]
+            sys.exit(
+                f"error: there is not enough memory ({reason}); lower `memory` or this stage's batch_size in "
+                "params.yaml"
+            )
+        if not isinstance(error, OSError) or error.errno not in _OUTSIDE:
             raise
         where = f"{error.filename}: " if error.filename else ""
         sys.exit(f"error: {where}{error.strerror}; look at the path, its permissions and the space that is left")
-    except (MemoryError, RuntimeError) as error:
-        if not lacks_memory(error):
-            raise
-        reason = str(error).partition("\n")[0]
-        sys.exit(
-            f"error: there is not enough memory ({reason}); lower `memory` or this stage's batch_size in params.yaml"
-        )
     except KeyboardInterrupt:
         sys.stderr.write(STOPPED)
         sys.exit(_INTERRUPTED)
@@ -123,7 +122,9 @@ def _is_unread(stream: int) -> bool:
 
 
 def lacks_memory(error: Exception) -> bool:
-    """Tell whether NumPy, PyTorch on a CPU or PyTorch on a GPU could not allocate."""
+    """Tell whether NumPy, the system, PyTorch on a CPU or PyTorch on a GPU could not allocate."""
+    if isinstance(error, OSError):
+        return error.errno == errno.ENOMEM
     return isinstance(error, MemoryError) or any(
         words in str(error) for words in ("can't allocate memory", "CUDA out of memory")
     )

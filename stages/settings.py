@@ -8,7 +8,7 @@ from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.evaluation.evaluate import EvaluateConfig
 from pipeline.export.report import ReportConfig
 from pipeline.launch import resolve_processes
-from pipeline.rows.entries import SHARED, settings_of
+from pipeline.rows.entries import SHARED, require_chosen, settings_of
 from pipeline.training.base_shape import BaseShapeConfig
 from pipeline.training.features import FeaturesConfig
 from pipeline.training.fine_tune import FineTuneConfig
@@ -30,7 +30,11 @@ CONFIGS: dict[str, type[Any]] = {
 
 
 def require_settings(params: Path, row: str, size: str, ablation: str) -> None:
-    """Raise ConfigError where a stage of such a run would, for a setting that is unknown, missing or out of range."""
+    """Raise ConfigError where a stage of such a run would, for a setting that is unknown, missing or out of range.
+
+    So it does for a row, size or ablation that does not exist.
+    """
+    require_chosen(params, row, size, ablation)
     device = resolve_device(scalar(params, "device"))
     resolve_precision(scalar(params, "precision"), device)
     resolve_memory(scalar(params, "memory"))

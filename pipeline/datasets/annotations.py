@@ -15,6 +15,17 @@ from pipeline.errors import DataError
 
 ANGLES = ("azimuth", "elevation", "theta")
 """Fields of `viewpoint` in degrees; the project's azimuth, elevation and roll, see docs/conventions.md."""
+_DAMAGE = (
+    MatReadError,
+    zlib.error,
+    ValueError,
+    TypeError,
+    IndexError,
+    NotImplementedError,
+    OSError,
+    OverflowError,
+)
+"""What reading raises when bytes are wrong, or a field is something else than expected."""
 
 
 class AnnotatedObject(NamedTuple):
@@ -40,7 +51,7 @@ def read_objects(content: bytes, name: str, category: str, has_difficult: bool) 
         return [_object(found) for found in objects if found["class"] == category and _is_usable(found, flags)]
     except KeyError as error:
         raise DataError(f"{name} has no field {error}; expected an annotation of PASCAL3D+") from None
-    except (MatReadError, zlib.error, ValueError, TypeError, NotImplementedError, OSError, OverflowError) as error:
+    except _DAMAGE as error:
         reason = " ".join(str(error).split())
         raise DataError(f"{name} is not an annotation of PASCAL3D+ ({reason}); copy it again") from None
 

@@ -41,6 +41,15 @@ _UTF8 = 0x800
 _ENCRYPTED = 1
 """The flag of a zip's member that needs a password."""
 
+_LONG_HEADERS = (
+    tarfile.GNUTYPE_LONGNAME,
+    tarfile.GNUTYPE_LONGLINK,
+    tarfile.XHDTYPE,
+    tarfile.XGLTYPE,
+    tarfile.SOLARIS_XHDTYPE,
+)
+"""Kinds of a tar's headers that are followed by text of any length."""
+_LONGEST_HEADER = 2**20
 LARGEST = 2**30
 """Bytes of a file in an archive that are unpacked at most: a small archive can hold files larger than memory."""
 
@@ -57,31 +66,39 @@ class Entry(NamedTuple):
 
 
 class _Member(tarfile.TarInfo):
-    """A tar's header that takes the end of the file for damage: a whole tar ends with a block of zeros."""
+    """A tar's header that takes the end of the file for damage, as a whole tar ends with a block of zeros.
+
+    Names and attributes beyond a mebibyte are damage too: tarfile reads them whole, however small they were packed.
+    """
 
     @classmethod
     def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> tarfile.TarInfo:
         if not buf:
             raise EOFError("it has no end")
-        return super().frombuf(buf, encoding, errors)
+        header = super().frombuf(buf, encoding, errors)
+        if header.type in _LONG_HEADERS and header.size > _LONGEST_HEADER:
+            raise tarfile.ReadError("it has a name or attributes of more than a mebibyte")
+        return header
 
 
 def read_tree(path: Path, wanted: Wanted = lambda _: True) -> Iterator[Entry]:
-    """Yield every wanted entry of a folder, a zip or a tar (plain, gz, bz2, xz), in the order it is stored.
+    """Yield every folder and every wanted file of a folder, a zip or a tar (plain, gz, bz2, xz), as they are stored.
 
     Raises DataError if the source is missing, truncated or damaged, or holds an entry that points outside of it: an
     absolute path, a path with `..`, a device or a link; in a folder, linked files are read, other links refused. So it
     does for a wanted file in an archive that is larger than a gibibyte.
-    What is not wanted, by its path inside the tree, is not read. One file's content is held at a time, and besides it
-    the names of one folder, or the table of a zip; a tar takes no memory that grows with its length.
+    Files that are not wanted, by their path inside the tree, are not read. One file's content is held at a time, and
+    besides it the names of one folder, or the table of a zip; a tar takes no memory that grows with its length.
     """
     if path.is_dir():
         for entry in walk(path):
             name = PurePosixPath(entry.relative_to(path))
-            if wanted(name):
-                if not entry.exists():
-                    raise DataError(f"{entry} is a link to nothing; mend or remove it")
-                yield Entry(name, entry.read_bytes() if entry.is_file() else None)
+            if entry.is_dir():
+                yield Entry(name, None)
+            elif wanted(name):
+                if not entry.is_file():
+                    raise DataError(f"{entry} is a link to nothing or a device; mend or remove it")
+                yield Entry(name, entry.read_bytes())
         return
     if not path.is_file():
         raise DataError(f"{path} does not exist; expected a folder or a tar or zip archive")
@@ -92,6 +109,13 @@ def read_tree(path: Path, wanted: Wanted = lambda _: True) -> Iterator[Entry]:
         raise DataError(
             f"{path} is not a complete tar or zip archive ({error}); name one, or a folder, or download it again"
         ) from None
+
+
+def read_files(path: Path, wanted: Wanted) -> Iterator[tuple[PurePosixPath, bytes]]:
+    """Yield path and content of every wanted file of `read_tree`."""
+    for name, content in read_tree(path, wanted):
+        if content is not None:
+            yield name, content
 
 
 def walk(folder: Path) -> Iterator[Path]:
@@ -121,18 +145,30 @@ def _read_zip(path: Path, wanted: Wanted) -> Iterator[Entry]:
             name = _inside(path, _name(member))
             if (member.external_attr >> 16) & 0o170000 == 0o120000:
                 raise DataError(f"{path}: '{name}' is a link; expected only files and folders")
-            if wanted(name):
+            if member.is_dir():
+                yield Entry(name, None)
+            elif wanted(name):
                 _require_small(path, name, member.file_size)
                 if member.flag_bits & _ENCRYPTED:
                     raise DataError(f"{path}: '{name}' is encrypted; unpack the archive and name the folder")
                 try:
-                    content = None if member.is_dir() else archive.read(member)
+                    yield Entry(name, _unpack(archive, member))
                 except NotImplementedError:
                     raise DataError(
                         f"{path}: '{name}' is packed in a way that cannot be read; unpack the archive and "
                         "name the folder"
                     ) from None
-                yield Entry(name, content)
+
+
+def _unpack(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+    """Return what a zip's member holds, up to the size that the table says, whatever would follow.
+
+    Raises NotImplementedError for ways of packing whose unpackers cannot stop there.
+    """
+    if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+        raise NotImplementedError
+    with archive.open(member) as stream:
+        return stream.read(member.file_size)
 
 
 def _name(member: zipfile.ZipInfo) -> str:
@@ -156,14 +192,15 @@ def _read_tar(path: Path, wanted: Wanted) -> Iterator[Entry]:
             name = _inside(path, member.name)
             if not (member.isfile() or member.isdir()):
                 raise DataError(f"{path}: '{member.name}' is a link or a device; expected only files and folders")
-            if not wanted(name):
-                continue
-            _require_small(path, name, member.size)
             stream = archive.extractfile(member)
-            content = stream.read() if stream else None
-            if content is not None and len(content) < member.size:
-                raise EOFError(f"'{name}' ends early")
-            yield Entry(name, content)
+            if stream is None:
+                yield Entry(name, None)
+            elif wanted(name):
+                _require_small(path, name, member.size)
+                content = stream.read()
+                if len(content) < member.size:
+                    raise EOFError(f"'{name}' ends early")
+                yield Entry(name, content)
         while unpacked and unpacked.read(2**20):
             pass  # the checksum stands at the end
 

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import UInt8
 from numpy._core.multiarray import _reconstruct  # pyright: ignore[reportAttributeAccessIssue]
 
-from pipeline.datasets.archives import read_tree
+from pipeline.datasets.archives import read_files
 from pipeline.datasets.prepared import Dataset
 from pipeline.errors import DataError
 
@@ -51,11 +51,11 @@ def read_cifar10(path: Path, config: Cifar10Config) -> Dataset:
     """Read the ten categories. Raises DataError unless the archive is the official one, whole."""
     _check(path, config.md5)
     wanted = {*TRAIN_FILES, TEST_FILE, NAMES_FILE}
-    entries = {entry.name.name: entry.content for entry in read_tree(path)}
+    entries = {name.name: content for name, content in read_files(path, lambda name: name.name in wanted)}
     missing = wanted - entries.keys()
     if missing:
         raise DataError(f"{path} has no {', '.join(sorted(missing))}; expected the Python version of CIFAR-10")
-    batches = {name: load_plain(entries[name] or b"", f"{path}: {name}") for name in sorted(wanted)}
+    batches = {name: load_plain(entries[name], f"{path}: {name}") for name in sorted(wanted)}
     names = [name.decode() for name in batches[NAMES_FILE][b"label_names"]]
     return Dataset(
         {

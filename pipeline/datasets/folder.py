@@ -2,7 +2,7 @@
 
 import sys
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path, PurePosixPath
@@ -34,33 +34,73 @@ def read_folder(path: Path, config: FolderConfig) -> Iterator[Picture]:
     Raises DataError for a source or picture that cannot be used and, at the end, for a category without pictures in one
     split.
     """
-    counts: Counter[tuple[str, str]] = Counter()
-    around: set[tuple[str, str]] = set()
-    others = _Others()
+    categories, others = Categories(), _Others()
+
+    def wanted(name: PurePosixPath) -> bool:
+        if _place_of(name) is None:
+            others.note(name)
+            return False
+        return True
+
     with tqdm(desc=f"reading {path.name}", unit="", disable=None) as progress:
-        for name, content in read_tree(path, others.wanted):
-            parts = name.parts if content is None else name.parts[:-1]
-            if is_hidden(name):
+        for name, content in read_tree(path, wanted):
+            if content is None:
+                categories.note_folder(name)
                 continue
-            is_picture = name.suffix.lower() in ENDINGS
-            if len(parts) < 2 or parts[-2] not in SPLITS or (content is not None and not is_picture):
-                others.note(name)
-                continue
-            split, category = parts[-2:]
-            if content is None and category in SPLITS:
-                continue  # the whole source may lie in a folder `test`
-            counts[split, category] += 0
-            around.update(pairwise(parts[:-2]))
-            if content is not None:
-                pixels = decode(content, f"{path}: {name}", config.size, config.fit)
-                counts[split, category] += 1
-                progress.update()
-                yield Picture(split, category, name.name, pixels)
+            pixels = decode(content, f"{path}: {name}", config.size, config.fit)
+            categories.note_file(name)
+            progress.update()
+            yield Picture(name.parts[-3], name.parts[-2], name.name, pixels)
     others.tell(path)
-    require_all(path, {place: count for place, count in counts.items() if count or place not in around})
+    categories.require_all(path)
 
 
-def place_of(name: PurePosixPath) -> tuple[str, str] | None:
+class Categories:
+    """Categories of a source and their pictures, counted by split, as its files and folders come along."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[tuple[str, str]] = Counter()
+        self._around: set[tuple[str, str]] = set()
+
+    @property
+    def names(self) -> frozenset[str]:
+        """Those found so far."""
+        return frozenset(category for _, category in self._found())
+
+    def note_folder(self, name: PurePosixPath) -> None:
+        """Count a category's folder, so that an empty one is missed; the source may lie in a folder `test` itself."""
+        if name.parent.name in SPLITS and name.name not in SPLITS and not is_hidden(name):
+            self._counts[name.parent.name, name.name] += 0
+
+    def note_file(self, name: PurePosixPath) -> None:
+        """Count a picture; other files are none of a category's."""
+        place = _place_of(name)
+        if place is not None:
+            self._counts[place] += 1
+            self._around.update(pairwise(name.parts[:-3]))
+
+    def require_all(self, path: Path) -> None:
+        """Raise DataError, naming the source, without categories or for one without pictures in one split."""
+        endings = " ".join(sorted(ENDINGS))
+        if not self.names:
+            raise DataError(
+                f"{path} has no pictures at train/<category>/ and test/<category>/; `kato3d arrange` puts them there; "
+                f"expected {endings}, or of CIFAR-10 cifar-10-python.tar.gz itself"
+            )
+        for split in SPLITS:
+            for category in sorted(self.names):
+                if not self._counts[split, category]:
+                    raise DataError(
+                        f"{path} has no pictures in {split}/{category}/; expected at least one in each split, with "
+                        f"one of {endings}"
+                    )
+
+    def _found(self) -> list[tuple[str, str]]:
+        """Leave out empty folders around the splits, which no category's are."""
+        return [place for place, count in self._counts.items() if count or place not in self._around]
+
+
+def _place_of(name: PurePosixPath) -> tuple[str, str] | None:
     """Return split and category of the picture that a path inside the source names; None for any other path."""
     folder = name.parent
     is_picture = name.suffix.lower() in ENDINGS and folder.parent.name in SPLITS and not is_hidden(name)
@@ -73,17 +113,9 @@ class _Others:
     def __init__(self) -> None:
         self.count, self.first = 0, PurePosixPath()
 
-    def wanted(self, name: PurePosixPath) -> bool:
-        """Tell whether a file is a picture, or a folder may be a category's: an empty one is to be noticed."""
-        if name.suffix.lower() in ENDINGS or (len(name.parts) > 1 and name.parts[-2] in SPLITS):
-            return True
-        if name.suffix and not is_hidden(name):
-            self.note(name)
-        return False
-
     def note(self, name: PurePosixPath) -> None:
         """Count a file, if it lies in a category's folder or deeper."""
-        if name.suffix and any(part in SPLITS for part in name.parts[:-2]):
+        if name.suffix and any(part in SPLITS for part in name.parts[:-2]) and not is_hidden(name):
             self.first = self.first if self.count else name
             self.count += 1
 
@@ -95,17 +127,3 @@ class _Others:
                 f"train/<category>/<name> and test/<category>/<name>, with one of {' '.join(sorted(ENDINGS))}",
                 file=sys.stderr,
             )
-
-
-def require_all(path: Path, counts: Mapping[tuple[str, str], int]) -> None:
-    """Raise DataError, by counts of (split, category), without categories or for one without pictures in one split."""
-    categories = sorted({category for _, category in counts})
-    if not categories:
-        raise DataError(
-            f"{path} has no pictures at train/<category>/ and test/<category>/; `kato3d arrange` puts them there; "
-            f"expected {' '.join(sorted(ENDINGS))}, or of CIFAR-10 cifar-10-python.tar.gz itself"
-        )
-    for split in SPLITS:
-        for category in categories:
-            if not counts.get((split, category)):
-                raise DataError(f"{path} has no pictures in {split}/{category}/; expected at least one in each split")

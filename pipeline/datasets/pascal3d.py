@@ -14,12 +14,12 @@ from jaxtyping import UInt8
 from tqdm import tqdm
 
 from pipeline.datasets.annotations import AnnotatedObject, read_objects
-from pipeline.datasets.archives import is_hidden, read_tree
+from pipeline.datasets.archives import is_hidden, read_files
 from pipeline.datasets.decoding import cut_boxes
 from pipeline.datasets.folder import ENDINGS
 from pipeline.datasets.prepared import SPLITS, Dataset
 from pipeline.datasets.truth import Viewpoints, viewpoints_of_boxes
-from pipeline.errors import DataError
+from pipeline.errors import ConfigError, DataError
 from pipeline.ranges import Count
 
 ANNOTATIONS = "Annotations/*_pascal/*.mat"
@@ -34,6 +34,11 @@ class Pascal3dConfig:
     """Pixels a side; smaller objects are enlarged."""
     categories: tuple[str, ...]
     """Names of those that are read."""
+
+    def __post_init__(self) -> None:
+        """Raise ConfigError where nothing would be read."""
+        if not self.categories:
+            raise ConfigError("prepare_data.pascal3d: categories is empty; expected at least one")
 
 
 class Key(NamedTuple):
@@ -81,10 +86,8 @@ def _read_texts(path: Path, categories: Sequence[str]) -> Texts:
         is_annotation = _key(name, "Annotations", categories) is not None and name.suffix == ".mat"
         return not is_hidden(name) and (is_annotation or any(name.match(pattern) for pattern in patterns))
 
-    for name, content in tqdm(read_tree(path, wanted), f"reading annotations of {path.name}", disable=None):
+    for name, content in tqdm(read_files(path, wanted), f"reading annotations of {path.name}", disable=None):
         key = _key(name, "Annotations", categories)
-        if content is None:
-            continue
         if key is None:
             pattern = next(pattern for pattern in patterns if name.match(pattern))
             listed = content.decode("utf-8", "backslashreplace").split()  # other characters name no picture
@@ -149,9 +152,9 @@ def _cut_pictures(
         return not is_hidden(name) and name.suffix.lower() in ENDINGS and key in objects
 
     cuts: dict[Key, list[UInt8[np.ndarray, "size size 3"]]] = {}
-    for name, content in tqdm(read_tree(path, wanted), f"cutting {path.name}", total=len(objects), disable=None):
+    for name, content in tqdm(read_files(path, wanted), f"cutting {path.name}", total=len(objects), disable=None):
         key = _key(name, "Images", categories)
-        if content is not None and key is not None:
+        if key is not None:
             parts = cut_boxes(content, f"{path}: {name}", [found.box for found in objects[key]], size)
             _require_once(all(map(np.array_equal, cuts.setdefault(key, parts), parts)), f"{path}: {name}")
     for key in sorted(objects):

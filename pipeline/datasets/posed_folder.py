@@ -7,7 +7,7 @@ import unicodedata
 from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
-from pipeline.datasets.archives import is_hidden, read_tree
+from pipeline.datasets.archives import is_hidden, read_files
 from pipeline.datasets.prepared import Names, Truth
 from pipeline.datasets.truth import Viewpoints, viewpoints_of_boxes
 from pipeline.errors import DataError
@@ -43,7 +43,7 @@ def is_table(name: PurePosixPath) -> bool:
 
 
 def _read_angles(path: Path) -> Angles:
-    tables = {name: content for name, content in read_tree(path, is_table) if content is not None}
+    tables = dict(read_files(path, is_table))
     if not tables:
         raise DataError(f"{path} has no {TABLE}; expected one with the columns {', '.join((FILE, *ANGLES))}")
     if len(tables) > 1:

@@ -1,6 +1,5 @@
 """What a folder or an archive of photographs is, told by names alone."""
 
-from collections import Counter
 from pathlib import Path, PurePosixPath
 from typing import Literal, NamedTuple
 
@@ -8,7 +7,7 @@ from tqdm import tqdm
 
 from pipeline.datasets import cifar10, pascal3d, posed_folder
 from pipeline.datasets.archives import read_tree
-from pipeline.datasets.folder import place_of, require_all
+from pipeline.datasets.folder import Categories
 
 OFFICIAL_CIFAR10 = "cifar-10-python.tar.gz"
 
@@ -25,7 +24,7 @@ class Contents(NamedTuple):
 
 
 def survey(path: Path) -> Contents:
-    """Look at the names of all files once, and read none.
+    """Look at the names of all files and folders once, and read none.
 
     Raises DataError for a source that is damaged and, unless it is CIFAR-10 or PASCAL3D+, for one without categories or
     with one that has no pictures in one split.
@@ -33,23 +32,22 @@ def survey(path: Path) -> Contents:
     if path.is_file() and path.name == OFFICIAL_CIFAR10:
         return Contents(path, "cifar10", frozenset(cifar10.CATEGORIES))
     names = {"annotations": False, "batches": False, "table": False}
-    counts: Counter[tuple[str, str]] = Counter()
+    categories = Categories()
     with tqdm(desc=f"looking through {path.name}", unit="", delay=1, disable=None) as progress:
 
         def note(name: PurePosixPath) -> bool:
             names["annotations"] |= name.match(pascal3d.ANNOTATIONS)
             names["batches"] |= name.match(cifar10.BATCHES)
             names["table"] |= posed_folder.is_table(name)
-            counts.update(filter(None, [place_of(name)]))
+            categories.note_file(name)
             progress.update()
             return False
 
-        for _ in read_tree(path, wanted=note):
-            pass
+        for folder, _ in read_tree(path, wanted=note):
+            categories.note_folder(folder)
     if names["annotations"]:
         return Contents(path, "pascal3d", frozenset())
     if names["batches"] and path.is_file():
         return Contents(path, "cifar10", frozenset(cifar10.CATEGORIES))
-    require_all(path, counts)
-    categories = frozenset(category for _, category in counts)
-    return Contents(path, "posed_folder" if names["table"] else "folder", categories)
+    categories.require_all(path)
+    return Contents(path, "posed_folder" if names["table"] else "folder", categories.names)

@@ -23,7 +23,7 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "base_shapes": ("row", "ablation", "chosen", *_LEARNED),
     "runs": ("row", "ablation", "base_shape", *_LEARNED),
     "hologan": _LEARNED,
-    "colmap": _LEARNED,
+    "colmap": ("size", "seed", "dataset", "category"),
     "rows": ("dataset", "category"),
     "sizes": (),
     "ablations": (),
@@ -52,6 +52,12 @@ def settings_of(stage: str, row: str, size: str, ablation: str) -> list[str]:
     """Name the sections that a stage's settings are merged from: its own, then what row, size and ablation change."""
     chosen = {"rows": row, "sizes": size, "ablations": ablation}
     return [stage, *(f"{section}.{name}.{stage}" for section, name in chosen.items() if stage in _STAGES[section])]
+
+
+def require_chosen(path: Path, row: str, size: str, ablation: str) -> None:
+    """Raise ConfigError, with the nearest name, for a row, size or ablation that the file does not have."""
+    for section, name in (("rows", row), ("sizes", size), ("ablations", ablation)):
+        require_known(name, entries(path, section), f"{path}: {section} has no")
 
 
 def require_whole_entries(path: Path) -> None:

@@ -14,7 +14,7 @@ from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
 from pipeline.networks.pose_coordinates import Framing
 from pipeline.networks.seed_choice import BY_SCORE
-from pipeline.rows.entries import NAMES, require_whole_entries, settings_of
+from pipeline.rows.entries import NAMES, require_chosen, require_whole_entries, settings_of
 from pipeline.rows.params_file import put, round_trip_yaml
 from pipeline.rows.photographs import EMBEDDED, require_category, turn_on_dataset
 from pipeline.training.base_shape import BaseShapeConfig
@@ -66,12 +66,11 @@ def turn_on(path: Path, options: Options) -> str:
     """
     require_whole_entries(path)
     _require_whole_datasets(path)
+    require_chosen(path, options.row, options.size, options.ablation)
     yaml, text = round_trip_yaml(), path.read_text(encoding="utf-8")
     document = yaml.load(text)
     for section in SWITCHES:
         document[section] = document[section] or CommentedMap()  # after the only entry was removed
-    for kind, name in (("rows", options.row), ("sizes", options.size), ("ablations", options.ablation)):
-        require_known(name, document[kind], f"{path}: {kind} has no")
     if options.seed < 0:
         raise ConfigError(f"SEED is {options.seed}; expected 0 or a greater number")
     _require_more(path, document, options)
@@ -79,7 +78,8 @@ def turn_on(path: Path, options: Options) -> str:
     size, framing = _pictures(path, options)
     _require_parts_of_baseline(path, options, size)
     dataset, category = _turn_on_photographs(document, options, size, framing)
-    _turn_on_features(path, document, dataset, options)
+    if "features" in NAMES[options.baseline or "runs"]:
+        _turn_on_features(path, document, dataset, options)
     subject, entry = _entry(document, dataset, category, options)
     if options.baseline is None:
         name = _turn_on_run(document, subject, entry, options)

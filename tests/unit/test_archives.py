@@ -3,6 +3,7 @@
 import bz2
 import gzip
 import lzma
+import tarfile
 import tracemalloc
 import zipfile
 from collections.abc import Callable
@@ -11,7 +12,7 @@ from pathlib import Path, PurePosixPath
 import pytest
 
 from pipeline.datasets import archives
-from pipeline.datasets.archives import read_tree
+from pipeline.datasets.archives import read_files, read_tree
 from pipeline.errors import DataError
 from pipeline.seeding import numpy_generator
 from tests.picture_trees import tree, write_folder, write_tar, write_zip
@@ -86,7 +87,7 @@ def test_a_tar_may_begin_with_any_name(tmp_path: Path) -> None:
 def test_what_is_not_wanted_is_left_out(tmp_path: Path) -> None:
     sources = [write_folder(tmp_path / "folder", tree()), write_zip(tmp_path / "pictures.zip", tree())]
     for source in (*sources, write_tar(tmp_path / "pictures.tar.gz", tree())):
-        wanted = [str(name) for name, _ in read_tree(source, lambda name: name.match("test/car/*.jpg"))]
+        wanted = [str(name) for name, _ in read_files(source, lambda name: name.match("test/car/*.jpg"))]
         assert sorted(wanted) == ["test/car/1.jpg", "test/car/2.jpg"]
 
 
@@ -120,11 +121,48 @@ def test_a_file_that_would_fill_memory_is_refused_if_it_is_wanted(
         contents(source)
 
 
-def test_a_zip_that_is_packed_in_another_way_is_named(tmp_path: Path) -> None:
+def _peak(path: Path) -> int:
+    """Return the most bytes that are held until an archive is refused as damaged."""
+    tracemalloc.start()
+    with pytest.raises(DataError, match="not a complete tar or zip archive"):
+        contents(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak
+
+
+def test_a_zip_that_says_less_than_it_holds_takes_no_more_memory(tmp_path: Path) -> None:
+    path = tmp_path / "pictures.zip"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("train/car/1.jpg", bytes(2**25))
+    content = bytearray(path.read_bytes())
+    size = content.index(b"PK\x01\x02") + 24
+    content[size : size + 4] = (10).to_bytes(4, "little")
+    path.write_bytes(content)
+    assert _peak(path) < 2**21
+
+
+@pytest.mark.parametrize("kind", [tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK, tarfile.XHDTYPE, tarfile.XGLTYPE])
+def test_a_name_that_would_fill_memory_is_refused(tmp_path: Path, kind: bytes) -> None:
+    header = tarfile.TarInfo("././@LongLink")
+    header.type, header.size = kind, 2**25
+    (tmp_path / "pictures.tar.gz").write_bytes(gzip.compress(header.tobuf(tarfile.GNU_FORMAT) + bytes(2**25)))
+    assert _peak(tmp_path / "pictures.tar.gz") < 2**21
+
+
+@pytest.mark.parametrize("form", [tarfile.GNU_FORMAT, tarfile.PAX_FORMAT])
+def test_a_name_may_be_longer_than_a_header(tmp_path: Path, form: int) -> None:
+    name = "train/car/" + 50 * "long/" + "1.jpg"
+    with tarfile.open(tmp_path / "pictures.tar", "w", format=form) as archive:
+        archive.addfile(tarfile.TarInfo(name))
+    assert contents(tmp_path / "pictures.tar") == {name: b""}
+
+
+@pytest.mark.parametrize("method", [b"\x09\x00", b"\x0c\x00"], ids=["deflate64", "bzip2"])
+def test_a_zip_that_is_packed_in_another_way_is_named(tmp_path: Path, method: bytes) -> None:
     content = bytearray(write_zip(tmp_path / "pictures.zip", {"train/car/1.jpg": b"x"}).read_bytes())
-    deflate64 = b"\x09\x00"
     table = content.index(b"PK\x01\x02")
-    content[8:10] = content[table + 10 : table + 12] = deflate64
+    content[8:10] = content[table + 10 : table + 12] = method
     (tmp_path / "other.zip").write_bytes(content)
     with pytest.raises(DataError, match=r"'train/car/1\.jpg' is packed in a way that cannot be read; unpack"):
         contents(tmp_path / "other.zip")
@@ -179,7 +217,7 @@ def test_a_link_to_a_folder_is_refused_and_a_linked_file_is_read(tmp_path: Path)
 
 def test_a_link_to_nothing_is_refused(tmp_path: Path) -> None:
     (tmp_path / "1.jpg").symlink_to(tmp_path / "gone.jpg")
-    with pytest.raises(DataError, match=r"1\.jpg is a link to nothing; mend or remove it"):
+    with pytest.raises(DataError, match=r"1\.jpg is a link to nothing or a device; mend or remove it"):
         list(read_tree(tmp_path))
     assert list(read_tree(tmp_path, lambda name: name.suffix == ".png")) == []
 

@@ -107,6 +107,7 @@ def test_numbers_are_those_of_newer_yaml_which_dvc_writes(tmp_path: Path, number
         ("0o17", 15),
         ("0x1F", 31),
         ("1:04", "1:04"),
+        ("2024-13-45", "2024-13-45"),
         ("1_000", 1000),
         ("-0b11", -3),
     ],
@@ -207,6 +208,9 @@ def test_files_that_are_no_parameters_are_named(tmp_path: Path) -> None:
         "twice": (b"a: {b: 1, b: 2}", "is not valid YAML: 'b' stands twice"),
         "list": (b"? [a, b]\n: 1", "is not valid YAML: a key is not a single value"),
         "empty": (b"", "must hold sections"),
+        "number": (b"a: 0x_", "is not valid YAML: invalid literal for int"),
+        "truth": (b"a: !!bool perhaps", "is not valid YAML: 'perhaps'"),
+        "date": (b"a: !!timestamp soon", "is not valid YAML"),
     }
     for name, (content, words) in contents.items():
         (tmp_path / name).write_bytes(content)

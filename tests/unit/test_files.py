@@ -33,6 +33,8 @@ def test_memory_that_does_not_suffice_is_one_sentence() -> None:
         torch.empty(1 << 50, dtype=torch.uint8)
     with pytest.raises(SystemExit, match=r"\(CUDA out of memory\. Tried to allocate 1 GiB\); lower"), in_one_sentence():
         raise torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 1 GiB\nSee documentation")
+    with pytest.raises(SystemExit, match=r"not enough memory \(\[Errno 12\] mapped\); lower"), in_one_sentence():
+        raise OSError(errno.ENOMEM, "mapped")
     with pytest.raises(RuntimeError, match="shapes"), in_one_sentence():
         torch.mm(torch.ones(2, 2), torch.ones(3, 3))
 

@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from pipeline.datasets import archives
 from pipeline.datasets.folder import FolderConfig, read_folder
 from pipeline.datasets.prepared import write_pictures
 from pipeline.errors import DataError
-from tests.picture_trees import noise, tree, write_folder, write_tar
+from tests.picture_trees import noise, tree, write_folder, write_tar, write_zip
 
 CONFIG = FolderConfig(size=32, fit="crop")
 
@@ -57,6 +58,33 @@ def test_what_may_have_been_meant_as_a_picture_is_told(
     told = capsys.readouterr().err
     assert "left out 2 files, such as t" in told
     assert "3.gif" in told or "4.jpg" in told
+
+
+@pytest.mark.parametrize("write", [write_folder, write_tar, write_zip])
+def test_what_is_no_picture_of_a_category_is_not_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, write: Callable[[Path, dict[str, bytes]], Path]
+) -> None:
+    monkeypatch.setattr(archives, "LARGEST", 2**16)
+    other = {name: bytes(2**17) for name in ("train/images", "train/images.zip", "photos/1.jpg", "train/car/._1.jpg")}
+    source = write(tmp_path / "pictures", tree() | other)
+    if source.is_dir():
+        monkeypatch.setattr(Path, "read_bytes", _read_small)
+        (source / "train/car/.#1.jpg").symlink_to("gone")  # as Emacs marks what it edits
+    assert len(list(read_folder(source, CONFIG))) == len(tree())
+
+
+def _read_small(path: Path) -> bytes:
+    with path.open("rb") as stream:
+        content = stream.read()
+    assert len(content) <= 2**16, path
+    return content
+
+
+def test_folders_are_not_counted_as_files(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_folder(tmp_path, tree())
+    (folder / "train/car/v1.2").mkdir()
+    assert len(list(read_folder(folder, CONFIG))) == len(tree())
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("around", ["test", "train"])

@@ -63,7 +63,7 @@ def test_a_damaged_file_is_named(tmp_path: Path, parts: list[torch.Tensor], kept
         load_images(tmp_path / "car.npy")
 
 
-@pytest.mark.parametrize("wrong", [0, -1, True, "8 GB", None])
+@pytest.mark.parametrize("wrong", [0, -1, True, "8 GB", None, 1e300])
 def test_a_memory_that_is_no_number_is_an_error(wrong: object) -> None:
     assert resolve_memory(0.5) == 2**29
     with pytest.raises(ConfigError, match=r"^memory is .*; expected a number of GiB above 0"):

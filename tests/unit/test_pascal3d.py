@@ -1,15 +1,17 @@
 """PASCAL3D+: which objects are taken, how they are cut, and what their angles mean."""
 
+import io
 import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from scipy.io import savemat
 
 from pipeline.datasets.pascal3d import Pascal3dConfig, read_pascal3d
 from pipeline.datasets.prepared import write_images, write_truth
-from pipeline.errors import DataError
+from pipeline.errors import ConfigError, DataError
 from pipeline.evaluation.artifacts import load_truth
 from pipeline.geometry.camera import CameraConfig, Pose, project
 from tests.pascal3d_tree import VOC, annotation, car, photograph, release, viewpoint
@@ -126,6 +128,13 @@ def damaged(content: bytes) -> bytes:
     return content[:150] + bytes(40) + content[190:]
 
 
+def without_fields() -> bytes:
+    """Write a `record` that is a row of numbers."""
+    stream = io.BytesIO()
+    savemat(stream, {"record": np.zeros(3)})
+    return stream.getvalue()
+
+
 BAD_RELEASES = {
     "no list of ImageNet": (
         replaced("Image_sets/car_imagenet_val.txt", None),
@@ -154,6 +163,10 @@ BAD_RELEASES = {
     ),
     "not MATLAB": (
         replaced("Annotations/car_pascal/2009_1.mat", b"text"),
+        r"Annotations/car_pascal/2009_1\.mat is not an annotation of PASCAL3D\+ \(.+\); copy it again",
+    ),
+    "no record": (
+        replaced("Annotations/car_pascal/2009_1.mat", without_fields()),
         r"Annotations/car_pascal/2009_1\.mat is not an annotation of PASCAL3D\+ \(.+\); copy it again",
     ),
     "no box": (
@@ -188,6 +201,11 @@ def test_a_bad_release_is_one_sentence(tmp_path: Path, files: dict[str, bytes], 
         read_pascal3d(write_folder(tmp_path, files), CONFIG)
     assert str(caught.value).startswith(str(tmp_path))
     assert "\n" not in str(caught.value)
+
+
+def test_no_category_is_too_few() -> None:
+    with pytest.raises(ConfigError, match=r"prepare_data\.pascal3d: categories is empty; expected at least one"):
+        Pascal3dConfig(size=64, categories=())
 
 
 def test_a_category_that_is_not_there_is_named(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ from pipeline.errors import DataError
 from tests.pascal3d_tree import release
 from tests.picture_trees import tree, write_folder, write_tar, write_zip
 
-OTHERS = ("train/bus/notes.txt", "train/.van/1.jpg", "other/ship/1.jpg")
 WRITERS = {"folder": write_folder, "zip": write_zip, "tar.gz": write_tar}
 
 
@@ -27,7 +26,7 @@ def write(path: Path, form: str, files: Mapping[str, bytes]) -> Path:
         (tree(**{"poses.csv": b""}), "posed_folder", {"car", "horse"}),
         (release(), "pascal3d", set()),
         (
-            tree(**{"train/bus/notes.txt": b"", "train/.van/1.jpg": b"", "other/ship/1.jpg": b""}),
+            tree(**{"train/notes.txt": b"", "train/.van/1.jpg": b"", "other/ship/1.jpg": b""}),
             "folder",
             {"car", "horse"},
         ),
@@ -75,9 +74,18 @@ def test_a_category_without_pictures_in_one_split_is_refused(tmp_path: Path, for
         survey(path)
 
 
+def test_a_category_s_folder_without_pictures_is_refused(tmp_path: Path) -> None:
+    path = write(tmp_path, "folder", tree(**{"train/bus/notes.txt": b""}))
+    with pytest.raises(DataError, match="has no pictures in train/bus/; expected at least one in each split"):
+        survey(path)
+
+
 @pytest.mark.parametrize("ending", ["gif", "jfif", "avif"])
 def test_pictures_of_another_form_are_told_what_forms_there_are(tmp_path: Path, ending: str) -> None:
     path = write(tmp_path, "folder", {f"{split}/car/1.{ending}": b"" for split in ("train", "test")})
+    with pytest.raises(DataError, match=r"in each split, with one of \.bmp \.heic \.heif \.jpeg \.jpg "):
+        survey(path)
+    path = write(tmp_path, "zip", {f"{split}/car/1.{ending}": b"" for split in ("train", "test")})
     with pytest.raises(DataError, match=r"there; expected \.bmp \.heic \.heif \.jpeg \.jpg .*, or of CIFAR-10"):
         survey(path)
 
