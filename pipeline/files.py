@@ -59,14 +59,19 @@ def alone(path: Path) -> Iterator[None]:
             lock.unlink(missing_ok=True)
 
 
+def write_text(path: Path, text: str, errors: str = "strict") -> None:
+    """Write a text as UTF-8, its lines ended as on Unix, atomically; `errors` as of `str.encode`."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8", errors=errors, newline="\n")
+
+
 def write_json(path: Path, value: Any) -> None:
     """Write a value as JSON with sorted keys and a final newline, atomically. Raises DataError for NaN or infinity."""
     try:
         text = json.dumps(value, indent=2, sort_keys=True, allow_nan=False)
     except ValueError:
         raise DataError(f"{path} would hold a figure that is not finite; look at the stage's inputs") from None
-    with atomic_path(path) as temporary:
-        temporary.write_text(text + "\n", encoding="utf-8", newline="\n")
+    write_text(path, text + "\n")
 
 
 def read_json(path: Path) -> Any:

@@ -7,7 +7,7 @@ from pipeline.config import load
 from pipeline.datasets.images import load_images
 from pipeline.evaluation.colmap import ColmapConfig, run_colmap
 from pipeline.evaluation.tables import format_figures
-from pipeline.files import atomic_path, write_json
+from pipeline.files import write_json, write_text
 from stages.command_line import parse, run
 
 
@@ -17,8 +17,7 @@ def main() -> None:
     config = load(arguments.params, ColmapConfig, arguments.sections)
     with TemporaryDirectory() as folder:
         figures, log = run_colmap(load_images(arguments.images), config, arguments.seed, Path(folder))
-    with atomic_path(arguments.log) as temporary:
-        temporary.write_text(log, encoding="utf-8")
+    write_text(arguments.log, log)
     write_json(arguments.out, {"colmap": figures})
     print(format_figures({"colmap": figures}))
     print("\nCOLMAP says: " + "; ".join(figures["says"]))

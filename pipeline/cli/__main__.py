@@ -101,7 +101,7 @@ def _add_reconstruct(add: Callable[..., ArgumentParser], project: ArgumentParser
     reconstruct.add_argument(
         "--paint",
         action="store_true",
-        help="paint each mesh with up to 128 pixels of its photograph a side; best after --fine-tune",
+        help="paint each mesh with its photograph (`paint` in params.yaml); best after --fine-tune",
     )
     reconstruct.set_defaults(command=_reconstruct)
 

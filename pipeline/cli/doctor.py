@@ -85,7 +85,11 @@ def data(project: Path) -> Iterator[Finding]:
     """Look for the sources of the datasets that are on."""
     params = project / "params.yaml"
     for name in entries(params, "datasets"):
-        source = project / scalar(params, f"datasets.{name}.source")
+        given = scalar(params, f"datasets.{name}.source")
+        if not isinstance(given, str):
+            yield Finding(False, f"photographs of '{name}'", f"'datasets.{name}.source' must be text, not {given!r}")
+            continue
+        source = project / given
         advice = "" if source.exists() else "name its folder or archive with `make run ... SOURCE=...`"
         yield Finding(source.exists(), f"photographs of '{name}' in {source}", advice)
 

@@ -116,7 +116,7 @@ class Writing(NamedTuple):
         texture = paint(mesh, found.texture, found.pose, seen, renderer.camera, self.mirror_texture, config)
         background = functional.interpolate(found.background, size=seen.shape[1:], mode="bilinear")
         image = render(mesh, texture[None], found.pose, background, None, renderer).images[0]
-        return found._replace(texture=texture, background=background, image=image)
+        return found._replace(texture=texture, image=image)
 
 
 def writing(

@@ -7,7 +7,7 @@ from pipeline.cli.photographs import Target
 from pipeline.export.picture import png_uri
 from pipeline.export.report_page import captioned, grid, image, page
 from pipeline.export.viewer import Exhibit, viewer_section
-from pipeline.files import atomic_path, read_json
+from pipeline.files import read_json, write_text
 from pipeline.geometry.camera import CameraConfig
 
 SHOWN = 100
@@ -23,9 +23,7 @@ def write_gallery(path: Path, targets: Sequence[Target], camera: CameraConfig) -
     introduction = f"{len(shown)} of {len(targets)} reconstructed photographs whose mesh, picture and pose are here."
     section = viewer_section([_exhibit(target, path.parent) for target in shown], camera)
     text = page("Reconstructions", introduction, [], [section])
-    with atomic_path(path) as temporary:
-        # Names of files may hold bytes that are no text.
-        temporary.write_text(text, encoding="utf-8", errors="backslashreplace", newline="\n")
+    write_text(path, text, errors="backslashreplace")  # names of files may hold bytes that are no text
 
 
 def _exhibit(target: Target, folder: Path) -> Exhibit:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from pipeline.datasets.archives import is_hidden, walk
 from pipeline.datasets.folder import ENDINGS
 from pipeline.errors import DataError
-from pipeline.files import atomic_path, sha256
+from pipeline.files import sha256, write_text
 
 FILES: Mapping[str, Sequence[str]] = {
     "mesh": (".glb", ".obj", ".mtl", "_texture.png"),
@@ -51,7 +51,7 @@ class Task(NamedTuple):
     def done(self, outputs: Sequence[str]) -> bool:
         """Tell whether the outputs are there. Raises DataError where some of them are of another photograph."""
         origin = self.target.file(ORIGIN)
-        if not origin.is_file():
+        if not os.path.isfile(origin):  # noqa: PTH113 - Path's refuses names that are too long, as writing will
             return False
         if _read_origin(origin) != sha256(self.photograph):
             raise DataError(
@@ -66,8 +66,7 @@ class Task(NamedTuple):
         if not origin.is_file() or _read_origin(origin) != content_hash:
             for ending in itertools.chain(*FILES.values()):
                 self.target.file(ending).unlink(missing_ok=True)
-        with atomic_path(origin) as temporary:
-            temporary.write_text(content_hash, encoding="utf-8")
+        write_text(origin, content_hash)
 
 
 def _read_origin(origin: Path) -> str:
@@ -146,8 +145,8 @@ def _tasks(path: Path, out: Path) -> Iterator[Task]:
 def _plain(name: str) -> str:
     """Return a file's name without its ending.
 
-    Without spaces too, which readers of OBJ take for the end of a name, without bytes that are no text in UTF-8, and
-    not of dots alone, which name folders.
+    Without spaces too, which readers of OBJ take for the end of a name, without backslashes, which some take for a
+    folder's, without bytes that are no text in UTF-8, and not of dots alone, which name folders.
     """
-    stem = re.sub(r"[\udc80-\udcff]", "_", "_".join(Path(name).stem.split()))
+    stem = re.sub(r"[\\\udc80-\udcff]", "_", "_".join(Path(name).stem.split()))
     return stem if stem.strip(".") else f"{stem}_"

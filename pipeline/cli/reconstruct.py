@@ -28,7 +28,7 @@ from pipeline.errors import DataError
 from pipeline.export.animation import encoder
 from pipeline.export.painting import PaintingConfig
 from pipeline.export.report import ReportConfig
-from pipeline.files import read_json, sha256, write_json
+from pipeline.files import alone, read_json, sha256, write_json
 from pipeline.geometry.camera import Pose, pose_from_tensor
 from pipeline.networks.feature_extractor import FeatureExtractor, extract, load_feature_extractor
 from pipeline.networks.full_model import FullModel, load_full_model
@@ -77,16 +77,13 @@ def reconstruct(
     """Write the outputs of each photograph, in batches, going on where an earlier call for the same folder stopped.
 
     Raises DataError where the folder holds anything else, reconstructions by another model or with other steps or
-    settings among it, and ConfigError for films without their encoder.
+    settings among it, and where another call is writing to it; ConfigError for films without their encoder.
     """
     if "video" in outputs:
         encoder()  # not missed only after the first photograph
     model, settings = load_full_model(run.model, device), _load_settings(run)
-    way = _way(run, settings, steps)
-    _require_same_way(out, way)
-    waiting, failures = _waiting(tasks, outputs)
-    skipped = len(tasks) - len(waiting) - len(failures)
     extractor = load_feature_extractor(run.features, device, resolve_precision(scalar(run.params, "precision"), device))
+    way = _way(run, settings, steps)
     read = Reading(model.config.renderer.size, settings.fit)
     write = writing(model, read, outputs, settings.report, settings.paint if steps.paint else None)
 
@@ -96,13 +93,20 @@ def reconstruct(
             return _fine_tuned(images.to(device), model, extractor, settings.fine_tune)
         return _inferred(images.to(device), model, extractor)
 
-    results = _in_batches(waiting, settings.fine_tune.batch_size, read, find, write)
-    progress = tqdm(results, "reconstructing", len(waiting), unit="photograph", disable=None)
-    failed = [sentence for sentence in progress if sentence is not None]
-    latest = {task.target for task in tasks}
-    done = sorted(find_targets(out, PAGED), key=lambda target: target not in latest)
-    if done:
-        write_gallery(out / PAGE, done, model.config.renderer.camera)
+    is_new = not out.exists()
+    with alone(out / RECORD):
+        _require_same_way(out, way)
+        waiting, failures = _waiting(tasks, outputs)
+        skipped = len(tasks) - len(waiting) - len(failures)
+        results = _in_batches(waiting, settings.fine_tune.batch_size, read, find, write)
+        progress = tqdm(results, "reconstructing", len(waiting), unit="photograph", disable=None)
+        failed = [sentence for sentence in progress if sentence is not None]
+        latest = {task.target for task in tasks}
+        done = sorted(find_targets(out, PAGED), key=lambda target: target not in latest)
+        if done:
+            write_gallery(out / PAGE, done, model.config.renderer.camera)
+    if is_new and not any(out.iterdir()):
+        out.rmdir()
     return Outcome(len(waiting) - len(failed), skipped, failures + failed, out / PAGE if done else None)
 
 

@@ -46,6 +46,11 @@ Images = UInt8[Tensor, "N 3 H W"] | MappedImages
 """Pictures on the device, or on disk where they do not fit there: both give the same bytes for the same rows."""
 
 
+def to_colors(images: UInt8[Tensor, "*shape"]) -> Float[Tensor, "*shape"]:
+    """Return colours in [0, 1], in memory of their own order."""
+    return images.contiguous().float() / 255
+
+
 def to_bytes(colors: Float[Tensor, "*shape"]) -> UInt8[Tensor, "*shape"]:
     """Round colours to whole numbers of 255ths; what is below 0 or above 1 becomes 0 or 255."""
     return (colors.clamp(0, 1) * 255).round().byte()

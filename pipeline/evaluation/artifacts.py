@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from pipeline.datasets.images import load_images
+from pipeline.datasets.images import load_images, to_colors
 from pipeline.errors import DataError
 from pipeline.files import read_json
 from pipeline.geometry.camera import Pose, fill_picture, pose_from_tensor
@@ -96,7 +96,7 @@ def render_tuned(
 
 def load_photographs(path: Path, index: Int[Tensor, " B"]) -> Float[Tensor, "B 3 H W"]:
     """Read the chosen photographs of a prepared category, in [0, 1]."""
-    return load_images(path)[index].contiguous().float() / 255
+    return to_colors(load_images(path)[index])
 
 
 def load_truth(folder: Path, category: str) -> tuple[Truth, Truth] | None:

@@ -1,9 +1,10 @@
 """Measure the predictions of any method by what a run of this pipeline is measured by, under the same keys."""
 
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, UInt8
 from torch import Tensor
 
 from pipeline.config import merge
+from pipeline.datasets.images import to_colors
 from pipeline.errors import DataError
 from pipeline.evaluation.alignment import turn_vertices
 from pipeline.evaluation.artifacts import TrueObjects, Truth
@@ -12,7 +13,7 @@ from pipeline.evaluation.image_metrics import pixel_columns
 from pipeline.evaluation.predictions import SPLIT, Meshes, Predictions
 from pipeline.evaluation.shape import iou
 from pipeline.evaluation.shape_metrics import TrueShapes, constant_mask_figure
-from pipeline.evaluation.statistics import Figures, mean_figure
+from pipeline.evaluation.statistics import Figures, mean_figure, mean_figures
 from pipeline.seeding import generator
 
 
@@ -59,18 +60,10 @@ def _mesh_figures(
     rng = generator(config.seed, "evaluate shape")
     shapes = TrueShapes(test, training, config.shape, rng)
     vertices = turn_vertices(meshes.vertices, angle)
-    found = _means(shapes.columns(vertices, meshes.faces, rng)) | shapes.proportion_figures(vertices)
+    found = mean_figures(shapes.columns(vertices, meshes.faces, rng)) | shapes.proportion_figures(vertices)
     return {"shape": {SPLIT: found, "constant": {"voxel_iou": shapes.constant_figure()}}}
 
 
 def _image_figures(images: UInt8[Tensor, "N H W 3"], photographs: UInt8[Tensor, "N 3 H W"]) -> Figures:
-    columns = pixel_columns(_in_unit_range(photographs), _in_unit_range(images.permute(0, 3, 1, 2)))
-    return {"reconstruction": {"predicted": _means(columns)}}
-
-
-def _in_unit_range(images: UInt8[Tensor, "N 3 H W"]) -> Float[Tensor, "N 3 H W"]:
-    return images.contiguous().float() / 255
-
-
-def _means(columns: dict[str, Tensor]) -> Figures:
-    return {name: mean_figure(values) for name, values in columns.items()}
+    columns = pixel_columns(to_colors(photographs), to_colors(images.permute(0, 3, 1, 2)))
+    return {"reconstruction": {"predicted": mean_figures(columns)}}

@@ -16,7 +16,7 @@ from pipeline.evaluation.pose_metrics import angle_columns, baseline_figures, po
 from pipeline.evaluation.retrieval import retrieve
 from pipeline.evaluation.shape import iou, vertex_deviation
 from pipeline.evaluation.shape_metrics import ShapeMetricsConfig, TrueShapes, constant_mask_figure, silhouettes
-from pipeline.evaluation.statistics import Columns, mean_figure
+from pipeline.evaluation.statistics import Columns, mean_figure, mean_figures
 from pipeline.geometry.camera import Pose, pose_from_tensor
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel
@@ -83,18 +83,12 @@ def evaluate_images(
 
     Beside them stand what retrieving a training photograph by its colours reaches, and how much shapes differ.
     """
-    columns = {
-        stage: image_columns(photographs, reconstructions.at(stage).images, extractor, config.batch_size)
-        for stage in STAGES
-    }
-    table = {"test_index": reconstructions.test_index, **_flatten(columns)}
-    retrieved = image_columns(photographs, retrieve(photographs, training), extractor, config.batch_size)
+    images = {stage: reconstructions.at(stage).images for stage in STAGES}
+    images["retrieved"] = retrieve(photographs, training)
+    columns = image_columns(photographs, images, extractor, config.batch_size)
+    table = {"test_index": reconstructions.test_index, **_flatten({stage: columns[stage] for stage in STAGES})}
     spread = {stage: mean_figure(vertex_deviation(reconstructions.at(stage).vertices)) for stage in STAGES}
-    figures = {
-        "reconstruction": image_figures(columns["predicted"], columns["tuned"], retrieved),
-        "vertex_deviation": spread,
-    }
-    return figures, table
+    return {"reconstruction": image_figures(columns), "vertex_deviation": spread}, table
 
 
 def chain_result(
@@ -165,8 +159,7 @@ def _evaluate_shape(
             reconstruction, learned.reconstructions.faces, learned.reconstructions.directions, learned.renderer
         )
         columns[stage]["mask_iou"] = iou(masks, test.masks)
-        means = {name: mean_figure(values) for name, values in columns[stage].items()}
-        figures[split] = means | shapes.proportion_figures(vertices)
+        figures[split] = mean_figures(columns[stage]) | shapes.proportion_figures(vertices)
     if learned.final_base is not None:  # single-stage training takes none
         figures["base"] = shapes.base_figures(turn_vertices(learned.base, angle), learned.base_faces, rng)
         final_base = turn_vertices(learned.final_base, angle)

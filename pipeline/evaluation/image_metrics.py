@@ -1,13 +1,15 @@
 """The reconstruction section of a run's metrics: pictures before and after fine-tuning against the photographs."""
 
+from collections.abc import Mapping
 from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from pipeline.evaluation.artifacts import STAGES
 from pipeline.evaluation.image import psnr, ssim
-from pipeline.evaluation.statistics import Columns, mean_figure
+from pipeline.evaluation.statistics import Columns, mean_figure, mean_figures
 from pipeline.losses.image_distance import feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor
 
@@ -15,16 +17,24 @@ from pipeline.networks.feature_extractor import FeatureExtractor
 @torch.no_grad()
 def image_columns(
     photographs: Float[Tensor, "B 3 H W"],
-    images: Float[Tensor, "B 3 H W"],
+    images: Mapping[str, Float[Tensor, "B 3 H W"]],
     extractor: FeatureExtractor,
     batch_size: int,
-) -> Columns:
-    """Compare images with photographs, one row a picture: feature distance (eq. 2), PSNR in decibels, SSIM."""
-    distances = [
-        feature_distance(extractor(photograph), extractor(image))
-        for photograph, image in zip(photographs.split(batch_size), images.split(batch_size), strict=True)
-    ]
-    return {"feature_distance": torch.cat(distances), **pixel_columns(photographs, images)}
+) -> dict[str, Columns]:
+    """Compare images of several origins with photographs: feature distance (eq. 2), PSNR in decibels, SSIM.
+
+    Returns one row a picture for each origin.
+    """
+    distances: dict[str, list[Float[Tensor, " _"]]] = {origin: [] for origin in images}
+    for start in range(0, len(photographs), batch_size):
+        batch = slice(start, start + batch_size)
+        seen = extractor(photographs[batch])
+        for origin, drawn in images.items():
+            distances[origin].append(feature_distance(seen, extractor(drawn[batch])))
+    return {
+        origin: {"feature_distance": torch.cat(distances[origin]), **pixel_columns(photographs, drawn)}
+        for origin, drawn in images.items()
+    }
 
 
 def pixel_columns(photographs: Float[Tensor, "B 3 H W"], images: Float[Tensor, "B 3 H W"]) -> Columns:
@@ -32,11 +42,8 @@ def pixel_columns(photographs: Float[Tensor, "B 3 H W"], images: Float[Tensor, "
     return {"psnr": psnr(photographs, images), "ssim": ssim(photographs, images)}
 
 
-def image_figures(predicted: Columns, tuned: Columns, retrieved: Columns) -> dict[str, Any]:
-    """Summarize both moments, the baseline, and the fraction of pictures whose feature distance fine-tuning lowered."""
-    return {
-        "retrieved": {name: mean_figure(values) for name, values in retrieved.items()},
-        "predicted": {name: mean_figure(values) for name, values in predicted.items()},
-        "tuned": {name: mean_figure(values) for name, values in tuned.items()},
-        "improved": mean_figure(tuned["feature_distance"] < predicted["feature_distance"]),
-    }
+def image_figures(columns: Mapping[str, Columns]) -> dict[str, Any]:
+    """Summarize images of each origin, and of how many pictures fine-tuning lowered the feature distance."""
+    predicted, tuned = (columns[stage]["feature_distance"] for stage in STAGES)
+    means = {origin: mean_figures(group) for origin, group in columns.items()}
+    return {**means, "improved": mean_figure(tuned < predicted)}

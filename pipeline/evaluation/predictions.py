@@ -74,8 +74,8 @@ FORMS = {
     "images": _Form(np.uint8, np.uint8, (("test", "size", "size", 3),)),
 }
 _WORDS = {np.floating: "floating-point numbers", np.integer: "whole numbers", np.bool_: "bool", np.uint8: "uint8"}
-_DAMAGE_OF_ARRAYS = (KeyError, RuntimeError, SyntaxError, TokenError, ValueError)
-"""What readers of an archive's arrays raise besides."""
+_DAMAGE_OF_ARRAYS = (KeyError, MemoryError, RuntimeError, SyntaxError, TokenError, ValueError)
+"""What readers of an archive's arrays raise besides; MemoryError where an array claims to be larger than its file."""
 _NEEDS = (
     ("train_index", "train_angles", "the poses of the pictures that it names"),
     ("test_angles", "train_angles", "by which the alignment is fitted"),

@@ -4,6 +4,8 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from pipeline.datasets.images import to_colors
+
 _LEVELS = 4
 """Levels of each channel; a histogram has their third power."""
 _CHUNK = 250
@@ -14,10 +16,10 @@ def retrieve(photographs: Float[Tensor, "B 3 H W"], training: UInt8[Tensor, "N 3
 
     Training photographs may stay on disk: they are read a few at a time.
     """
-    known = torch.cat([histograms(chunk.float() / 255) for chunk in training.split(_CHUNK)])
+    known = torch.cat([histograms(to_colors(chunk)) for chunk in training.split(_CHUNK)])
     wanted = histograms(photographs).split(_CHUNK)
     nearest = torch.cat([torch.cdist(chunk, known, p=1).argmin(dim=1) for chunk in wanted])
-    return training[nearest].contiguous().float() / 255
+    return to_colors(training[nearest])
 
 
 def histograms(images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B bins"]:

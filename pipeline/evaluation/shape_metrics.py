@@ -16,6 +16,9 @@ from pipeline.geometry.voxels import voxelize
 from pipeline.ranges import Count
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
+_FACES_AT_ONCE = 2**21
+"""Of all shapes from whose surfaces points are drawn together; a face takes about 200 bytes."""
+
 
 @dataclass(frozen=True)
 class ShapeMetricsConfig:
@@ -84,9 +87,12 @@ class TrueShapes:
         self, vertices: Float[Tensor, "B V 3"], faces: Int[Tensor, "F 3"], rng: torch.Generator
     ) -> tuple[Bool[Tensor, "B K K K"], Float[Tensor, "B count 3"]]:
         """Scale shapes into the unit cube; return the voxels that they fill, and points on their surfaces."""
-        fitted = fit_unit_cube(vertices)
-        voxels = voxelize(fitted, faces, self._config.voxel_resolution)
-        return voxels, sample_outer_surface(fitted, faces, voxels, self._config.surface_points, rng)
+        resolution, count = self._config.voxel_resolution, self._config.surface_points
+        voxels, points = [], []
+        for fitted in fit_unit_cube(vertices).split(max(1, _FACES_AT_ONCE // len(faces))):
+            voxels.append(voxelize(fitted, faces, resolution))
+            points.append(sample_outer_surface(fitted, faces, voxels[-1], count, rng))
+        return torch.cat(voxels), torch.cat(points)
 
 
 def constant_mask_figure(training: Bool[Tensor, "N H W"], truth: Bool[Tensor, "B H W"]) -> Figure:

@@ -27,6 +27,11 @@ def mean_figure(values: Float[Tensor, " B"] | Bool[Tensor, " B"]) -> Figure:
     return {"value": values.double().mean().item(), "n": count, "standard_error": spread / count**0.5}
 
 
+def mean_figures(columns: Columns) -> dict[str, Figure]:
+    """Summarize each column by its mean."""
+    return {name: mean_figure(values) for name, values in columns.items()}
+
+
 def accuracy_figure(hits: Float[Tensor, " B"] | Bool[Tensor, " B"]) -> dict[str, float | int]:
     """Summarize how often estimates are right: `acc_pi6`, with n and standard error beside it."""
     figure = mean_figure(hits)

@@ -13,9 +13,9 @@ from pipeline.files import atomic_path
 
 def write_table(path: Path, columns: Mapping[str, Tensor]) -> None:
     """Write columns of equal length as CSV, atomically; error modes are spelt out, fractions have six digits."""
-    table = pandas.DataFrame({name: _texts(name, values) for name, values in columns.items()})
+    table = pandas.DataFrame({name: _values(name, column) for name, column in columns.items()})
     with atomic_path(path) as temporary:
-        table.to_csv(temporary, index=False, lineterminator="\n")
+        table.to_csv(temporary, index=False, lineterminator="\n", float_format="%.6f")
 
 
 def read_table(path: Path) -> dict[str, list[str]]:
@@ -55,9 +55,5 @@ def format_figures(metrics: Mapping[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _texts(name: str, values: Tensor) -> list[str]:
-    if name.startswith("error_mode"):
-        return [MODES[index] for index in values.tolist()]
-    if values.is_floating_point():
-        return [f"{value:.6f}" for value in values.tolist()]
-    return [str(value) for value in values.tolist()]
+def _values(name: str, column: Tensor) -> list[Any]:
+    return [MODES[index] for index in column.tolist()] if name.startswith("error_mode") else column.tolist()

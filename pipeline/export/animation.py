@@ -1,5 +1,6 @@
 """Turntables: animations that every browser and viewer plays."""
 
+import shutil
 import subprocess
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -41,7 +42,10 @@ def write_mp4(path: Path, frames: Float[Tensor, "K 3 H W"], milliseconds: int) -
 
 
 def encoder() -> str:
-    """Return the program that writes films. Raises ConfigError where the extra `video`, which brings it, is missing."""
+    """Return the program that writes films.
+
+    Raises ConfigError where the extra `video`, which brings it, is missing, or the program is.
+    """
     try:
         from imageio_ffmpeg import get_ffmpeg_exe
     except ImportError:
@@ -49,7 +53,15 @@ def encoder() -> str:
             "films need the encoder of imageio-ffmpeg; install it with `.venv/bin/pip install -c constraints.txt -e "
             "'.[video]'`"
         ) from None
-    return get_ffmpeg_exe()
+    try:
+        program = get_ffmpeg_exe()
+    except RuntimeError:
+        program = ""
+    if shutil.which(program) is None:
+        raise ConfigError(
+            "films need ffmpeg, which imageio-ffmpeg does not find; install it, or mend IMAGEIO_FFMPEG_EXE"
+        )
+    return program
 
 
 def _of_256_colors(frame: UInt8[np.ndarray, "H W 3"]) -> Image.Image:

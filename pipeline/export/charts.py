@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 from typing import NamedTuple
 
+import numpy as np
+
 WIDTH, HEIGHT = 420, 280
 LEFT, RIGHT, TOP, BOTTOM = 88, 22, 12, 54
 COLORS, DASHES = 8, 5
@@ -51,7 +53,7 @@ def line_chart(series: Mapping[str, Sequence[Point]], label: str) -> str:
 
 def histogram(groups: Mapping[str, Sequence[float]], edges: Sequence[float], x_axis: Axis) -> str:
     """Draw the share of each group's values between neighbouring edges, groups side by side."""
-    shares = {name: _shares(values, edges) for name, values in groups.items()}
+    shares = {name: (np.histogram(values, edges)[0] / len(values)).tolist() for name, values in groups.items()}
     y_axis = spanning_axis([0.0, *(share for group in shares.values() for share in group)], "share of pictures")
     bars = []
     for index, group in enumerate(shares.values()):
@@ -86,14 +88,6 @@ def scatter(points: Sequence[Point], guides: Mapping[str, Sequence[Sequence[Poin
     for index, name in enumerate(guides):
         keys[name] = f'<line class="guide {_look(index + 1)}" x1="0" y1="6" x2="28" y2="6"/>'
     return _chart(x_axis, y_axis, marks, keys)
-
-
-def _shares(values: Sequence[float], edges: Sequence[float]) -> list[float]:
-    counts = [0] * (len(edges) - 1)
-    for value in values:
-        inside = [index for index, low in enumerate(edges[:-1]) if value >= low]
-        counts[inside[-1]] += 1
-    return [count / len(values) for count in counts]
 
 
 def _look(index: int) -> str:

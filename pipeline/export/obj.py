@@ -8,7 +8,7 @@ from torch import Tensor
 
 from pipeline.export.picture import write_png
 from pipeline.export.seam import UnwrappedMesh
-from pipeline.files import atomic_path
+from pipeline.files import write_text
 
 
 def write_obj(path: Path, mesh: UnwrappedMesh, texture: Float[Tensor, "3 T T"]) -> None:
@@ -40,5 +40,4 @@ def _rows(template: str, values: Shaped[Tensor, "N C"]) -> str:
 
 
 def _write_lines(path: Path, lines: Sequence[str]) -> None:
-    with atomic_path(path) as temporary:
-        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    write_text(path, "\n".join(lines) + "\n")

@@ -10,7 +10,7 @@ from pipeline.export.glb import encode_glb
 from pipeline.export.picture import data_uri
 from pipeline.export.report_page import captioned, grid, image
 from pipeline.export.report_pictures import Gallery, example_figures
-from pipeline.export.seam import UnwrappedMesh, cut_open
+from pipeline.export.seam import UnwrappedMesh
 from pipeline.export.viewer import Exhibit
 from pipeline.export.views import CLAY, SEED_AZIMUTHS
 from pipeline.rendering.lighting import vertex_normals
@@ -25,11 +25,10 @@ def reconstruction_exhibits(
 ) -> list[Exhibit]:
     """Show fine-tuned objects from their estimated viewpoints, beside the photographs and the renderings."""
     found = gallery.reconstructions
-    seam = cut_open(found.faces, found.directions)
     exhibits = []
     for position in index.tolist():
         texture, pose = found.textures[position], found.tuned.pose
-        mesh = seam.unwrap(found.tuned.vertices[position], texture.shape[-1])
+        mesh = gallery.seam.unwrap(found.tuned.vertices[position], texture.shape[-1])
         photograph = data_uri(gallery.photographs[position])
         pictures = [(photograph, "photograph"), (data_uri(found.tuned.images[position]), "fine-tuned")]
         exhibits.append(
@@ -53,7 +52,7 @@ def base_exhibit(base: Float[Tensor, "V 3"], gallery: Gallery) -> Exhibit:
     """Show the base shape after full training, with the mean of all textures."""
     found = gallery.reconstructions
     texture = found.textures.mean(0)
-    mesh = cut_open(found.faces, found.directions).unwrap(base, texture.shape[-1])
+    mesh = gallery.seam.unwrap(base, texture.shape[-1])
     return Exhibit(
         key="base",
         group=BASE_SHAPES,

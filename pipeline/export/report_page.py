@@ -61,7 +61,8 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], baselines: Seque
     for row in rows:
         style = ' class="baseline"' if row[0] in baselines else ""
         lines.append(f"<tr{style}>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>")
-    return f'<div class="scroll"><table><thead><tr>{head}</tr></thead><tbody>{"".join(lines)}</tbody></table></div>'
+    whole = f"<table><thead><tr>{head}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+    return f'<div class="scroll" tabindex="0">{whole}</div>'
 
 
 def figure_cell(figure: Mapping[str, Any] | None, key: str = "value", digits: int = 3) -> str:

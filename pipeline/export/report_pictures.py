@@ -1,6 +1,7 @@
 """The report's picture sections: base shapes, reconstructions, steps around objects."""
 
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 
 import torch
 from jaxtyping import Float, Int
@@ -9,6 +10,7 @@ from torch import Tensor
 from pipeline.evaluation.artifacts import STAGES, Reconstructions, render_tuned
 from pipeline.export.picture import data_uri, strip
 from pipeline.export.report_page import Section, card, four, grid, image
+from pipeline.export.seam import Seam, cut_open
 from pipeline.export.viewer import turn_link
 from pipeline.export.views import SEED_AZIMUTHS, ViewConfig, render_clay, render_textured
 from pipeline.geometry.camera import CameraConfig
@@ -16,7 +18,7 @@ from pipeline.networks.pose_coordinates import Framing
 from pipeline.rendering.renderer import RendererConfig
 
 STEP_AZIMUTHS = tuple(range(0, 400, 50))
-CORNER_AZIMUTHS = (45.0, 225.0)
+CORNER_AZIMUTHS = SEED_AZIMUTHS[1], SEED_AZIMUTHS[3]
 
 
 class Gallery:
@@ -36,6 +38,11 @@ class Gallery:
         self._camera = camera
         self._framing: Framing = framing
         self._view = view
+
+    @cached_property
+    def seam(self) -> Seam:
+        """Where all meshes of the run are cut open."""
+        return cut_open(self.reconstructions.faces, self.reconstructions.directions)
 
     def seed_views(self, seeds: Float[Tensor, "S V 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "S 4 4 H W"]:
         """Render every seed's base shape in grey from four sides."""

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 from pipeline.evaluation.tables import figure_rows
 from pipeline.export.report_page import Section, figure_cell, page, table
-from pipeline.files import atomic_path
+from pipeline.files import write_text
 
 # Headings, with the figure's name and its digits after the point.
 COLUMNS = {
@@ -35,8 +35,7 @@ INTRODUCTION = (
 )
 
 Figure = Mapping[str, Any]
-"""A value, its standard error and n."""
-Figures = Mapping[str, Figure]
+"""A value with its standard error and n, which some figures lack."""
 
 
 class MeasuredRun(NamedTuple):
@@ -48,10 +47,11 @@ class MeasuredRun(NamedTuple):
 
     @property
     def experiment(self) -> str:
-        """What runs share that differ in their seed alone."""
-        return re.sub(r"-seed\d+(?=(-hologan|-colmap)?$)", "", self.name)
+        """What runs share that differ in their seed alone; a base shape that they are trained around keeps its own."""
+        own, around, base_shape = self.name.partition("-around-")
+        return re.sub(r"-seed\d+(?=(-hologan|-colmap)?$)", "", own) + around + base_shape
 
-    def by_name(self) -> Figures:
+    def by_name(self) -> Mapping[str, Figure]:
         """Return the figures by their dotted names."""
         rows = figure_rows(self.figures)
         return {label: {"value": value, "standard_error": error, "n": n} for label, value, error, n in rows}
@@ -72,8 +72,7 @@ def write_runs_page(path: Path, runs: Sequence[MeasuredRun]) -> None:
     text = page(
         "All runs", f"{len(runs)} runs with figures.", [], [Section("runs", "On test pictures", INTRODUCTION, body)]
     )
-    with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8", newline="\n")
+    write_text(path, text)
 
 
 def _link(run: MeasuredRun) -> str:

@@ -10,7 +10,7 @@ from torch.nn import functional
 from pipeline.rendering.lighting import vertex_normals
 
 ON_EDGE = 1e-5
-"""Barycentric coordinates below this count as 0: the pole lies on an edge or a corner."""
+"""Barycentric coordinates up to this count as 0: the pole lies on an edge or a corner."""
 
 
 class UnwrappedMesh(NamedTuple):
@@ -76,14 +76,15 @@ def _split_at_pole(
     facing = (corners @ pole).amax(dim=1) > 0
     weights = torch.linalg.solve(corners[facing].double().mT, pole.double().expand(int(facing.sum()), 3))
     weights = weights / weights.sum(dim=1, keepdim=True)
-    contain = (weights > -ON_EDGE).all(dim=1)
-    around, weights = facing.nonzero()[:, 0][contain], weights[contain].to(mixture)
-    new_faces = [faces[~torch.isin(torch.arange(len(faces)), around)]]
-    for face, weight in zip(around, weights, strict=True):
-        for corner in (weight > ON_EDGE).nonzero()[:, 0]:
-            new_faces.append(faces[face].index_fill(0, corner, len(directions))[None])
-    middle = weights[:1] @ mixture[faces[around[0]]]
-    return torch.cat([mixture, middle]), torch.cat([directions, pole[None]]), torch.cat(new_faces)
+    # One face decides whether the pole lies on a corner or an edge, and its neighbours there go along.
+    nearest = weights.amin(dim=1).nan_to_num(nan=-torch.inf).argmax()  # NaN where the face runs along the pole's line
+    face = faces[facing][nearest]
+    corners = face[weights[nearest] > ON_EDGE]
+    around = torch.isin(faces, corners).sum(dim=1) == len(corners)
+    parts = [torch.where(faces[around] == corner, len(directions), faces[around]) for corner in corners]
+    middle = weights[nearest].to(mixture) @ mixture[face]
+    new_faces = torch.cat([faces[~around], *parts])
+    return torch.cat([mixture, middle[None]]), torch.cat([directions, pole[None]]), new_faces
 
 
 def _corner_uv(directions: Float[Tensor, "K 3"], faces: Int[Tensor, "F 3"]) -> Float[Tensor, "F 3 2"]:

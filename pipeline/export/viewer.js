@@ -11,7 +11,8 @@
   const KEYS = { ArrowLeft: [-KEY_STEP, 0], ArrowRight: [KEY_STEP, 0], ArrowUp: [0, KEY_STEP], ArrowDown: [0, -KEY_STEP] };
   const view = { azimuth: 0, elevation: 0 };
   let renderer = null, mesh = null, chosen = choices[0], surface = 'texture';
-  let started = false, onScreen = false, spinning = false, frame = 0, before = 0;
+  let started = false, onScreen = false, frame = 0, before = 0;
+  let spinning = !matchMedia('(prefers-reduced-motion: reduce)').matches;
 
   const scene = new THREE.Scene();
   const camera = new THREE.PerspectiveCamera(Number(viewer.dataset.fieldOfView), 1);
@@ -29,16 +30,20 @@
     try {
       renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
     } catch {
-      find('.problem').textContent = 'This browser shows no 3D: it offers no WebGL.';
-      find('.problem').hidden = false;
-      canvas.hidden = true;
+      complain('This browser shows no 3D: it offers no WebGL.');
       return;
     }
     renderer.outputEncoding = THREE.sRGBEncoding;
     new ResizeObserver(resize).observe(stage);
     resize();
     choose(chosen);
-    spin(!matchMedia('(prefers-reduced-motion: reduce)').matches);
+    spin(spinning); // a choice that was made before has stopped it
+  }
+
+  function complain(text) {
+    find('.problem').textContent = text;
+    find('.problem').hidden = false;
+    canvas.hidden = true;
   }
 
   function resize() {
@@ -59,19 +64,24 @@
     if (renderer) load(choice);
   }
 
-  function load(choice) {
+  async function load(choice) {
     canvas.setAttribute('aria-busy', true);
-    const content = Uint8Array.from(atob(choice.dataset.glb), letter => letter.charCodeAt(0));
-    new THREE.GLTFLoader().parse(content.buffer, '', loaded => {
-      if (choice !== chosen) return;
-      if (mesh) discard();
-      mesh = loaded.scene.getObjectByProperty('isMesh', true);
-      mesh.userData.painted = mesh.material;
-      mesh.add(new THREE.LineSegments(new THREE.WireframeGeometry(mesh.geometry), wire));
-      scene.add(mesh);
-      dress();
-      canvas.setAttribute('aria-busy', false);
-    }, error => { throw error; });
+    let loaded;
+    try {
+      const content = Uint8Array.from(atob(choice.dataset.glb), letter => letter.charCodeAt(0));
+      loaded = await new THREE.GLTFLoader().parseAsync(content.buffer, '');
+    } catch (error) {
+      complain(`The mesh of ${choice.dataset.name} cannot be read; write the page anew.`);
+      throw error;
+    }
+    if (choice !== chosen) return;
+    if (mesh) discard();
+    mesh = loaded.scene.getObjectByProperty('isMesh', true);
+    mesh.userData.painted = mesh.material;
+    mesh.add(new THREE.LineSegments(new THREE.WireframeGeometry(mesh.geometry), wire));
+    scene.add(mesh);
+    dress();
+    canvas.setAttribute('aria-busy', false);
   }
 
   function discard() {
@@ -172,8 +182,8 @@
     held = event;
   });
   for (const end of ['pointerup', 'pointercancel']) canvas.addEventListener(end, () => { held = null; });
-  new IntersectionObserver(([entry]) => {
-    onScreen = entry.isIntersecting;
+  new IntersectionObserver(entries => {
+    onScreen = entries.at(-1).isIntersecting;
     if (onScreen && !started) start();
     draw();
   }, { rootMargin: '200px' }).observe(viewer);

@@ -10,7 +10,7 @@ from torch import Tensor
 from pipeline.errors import MeshError
 from pipeline.geometry.halves import border_loop, cut_half, divide, join_halves, split_chords
 from pipeline.geometry.meshlab import isotropic_remeshing
-from pipeline.geometry.sphere_map import SphereMapConfig, map_to_sphere
+from pipeline.geometry.sphere_map import SphereMapConfig, map_to_sphere, solid_angles
 from pipeline.geometry.symmetry import is_symmetric, mirror_index
 from pipeline.geometry.topology import euler_characteristic, polygon_areas
 from pipeline.ranges import Count, Positive, Slant
@@ -50,13 +50,15 @@ def remesh_isotropic(mesh: MappedMesh, isotropic: IsotropicConfig, sphere_map: S
     """Make polygons even in size and shape and map the new mesh one-to-one to the sphere.
 
     A mirror-symmetric mesh stays so to the last bit, in positions and directions: one half is remeshed, mapped to a
-    hemisphere and mirrored. Raises MeshError when the input is not finite, closed and of genus 0, or has no extent.
+    hemisphere and mirrored. Raises MeshError when the input is not finite, closed and of genus 0, or has no extent, and
+    when rounding turns parts of the map over.
     """
     check_surface(mesh)
     symmetric = is_symmetric(mesh.vertices, mirror_index(mesh.directions))
     remeshed = (_remesh_half if symmetric else _remesh_whole)(mesh, isotropic, sphere_map)
     remeshed = MappedMesh(remeshed.vertices.float(), remeshed.faces, remeshed.directions.float())
     check_surface(remeshed)
+    _require_one_to_one(remeshed)
     return remeshed
 
 
@@ -73,6 +75,15 @@ def check_surface(mesh: MappedMesh) -> None:
     diagonal = (mesh.vertices.amax(dim=0) - mesh.vertices.amin(dim=0)).norm()
     if polygon_areas(mesh.vertices, mesh.faces).sum() <= SMALLEST_AREA * diagonal.square():
         raise MeshError("the mesh has collapsed to a line or a point: expected a base shape whose training converged")
+
+
+def _require_one_to_one(mesh: MappedMesh) -> None:
+    flipped = int((solid_angles(mesh.directions.double(), mesh.faces) <= 0).sum())
+    if flipped:
+        raise MeshError(
+            f"the map to the sphere turns {flipped} of {len(mesh.faces)} faces over; choose another "
+            "remesh.isotropic.target_faces or more remesh.sphere_map.iterations"
+        )
 
 
 def _remesh_half(mesh: MappedMesh, isotropic: IsotropicConfig, sphere_map: SphereMapConfig) -> MappedMesh:

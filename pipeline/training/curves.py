@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from pipeline.files import atomic_path
+from pipeline.files import write_text
 
 
 class Curve:
@@ -27,5 +27,4 @@ class Curve:
         """Write the rows as CSV under one line of names, atomically; without rows the one name is `iteration`."""
         names = self.rows[0] if self.rows else ["iteration"]
         lines = [",".join(names), *(",".join(map(str, row.values())) for row in self.rows)]
-        with atomic_path(path) as temporary:
-            temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+        write_text(path, "\n".join(lines) + "\n")

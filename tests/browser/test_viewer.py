@@ -135,6 +135,13 @@ def test_a_camera_from_afar_sees_the_mesh(open_page: Open, address: str, tmp_pat
 def test_a_narrow_window_shows_the_whole_page(open_page: Open) -> None:
     page = open_page(viewport={"width": 320, "height": 640}, **STILL)
     assert page.evaluate("document.documentElement.scrollWidth") == 320
+    page.locator(".scroll").first.focus()
+    page.keyboard.press("ArrowRight")
+    page.wait_for_function("() => document.querySelector('.scroll').scrollLeft > 0")
+    table = page.locator(".scroll").first
+    table.focus()
+    page.keyboard.press("ArrowRight")
+    page.wait_for_function("() => document.querySelector('.scroll').scrollLeft > 0")
 
 
 def test_the_elevation_slider_changes_the_picture(open_page: Open) -> None:
@@ -233,6 +240,30 @@ def test_it_spins_until_someone_takes_over(open_page: Open, way: str) -> None:
     stopped = angles(page)
     page.wait_for_timeout(400)  # more than nine degrees of a spin
     assert angles(page) == stopped
+
+
+def test_a_mesh_that_a_card_led_to_from_afar_stays_at_home(chromium: Browser, address: str) -> None:
+    context = chromium.new_context(viewport={"width": 800, "height": 200})
+    page = context.new_page()
+    page.goto(f"{address}#random")
+    assert page.evaluate("() => document.querySelector('.viewer').getBoundingClientRect().bottom") < -200
+    page.locator("a[data-exhibit]").last.click()
+    page.locator("canvas[aria-busy=false]").wait_for(timeout=PATIENCE)
+    home = angles(page)
+    page.wait_for_timeout(400)
+    assert angles(page) == home
+    assert page.get_by_role("button", name="spin").get_attribute("aria-pressed") == "false"
+    context.close()
+
+
+def test_a_mesh_that_cannot_be_read_is_said(chromium: Browser, address: str) -> None:
+    context = chromium.new_context(reduced_motion="reduce")
+    page = context.new_page()
+    page.goto(address)
+    page.evaluate("() => document.querySelectorAll('[name=exhibit]').forEach(one => one.dataset.glb = 'AAAA')")
+    page.locator("a[data-exhibit=seed-1]").click()
+    expect(page.get_by_text("The mesh of seed 1 cannot be read; write the page anew.")).to_be_visible(timeout=PATIENCE)
+    context.close()
 
 
 def test_keys_and_buttons_of_the_browser_turn_nothing(open_page: Open) -> None:

@@ -329,13 +329,15 @@ def test_files_that_are_no_arrays_of_numbers_are_refused(project: Path, ours: Ar
     with zipfile.ZipFile(tmp_path / "text.npz", "w") as archive:
         archive.writestr("masks", "text")
     header = whole.index(b"'shape'")
+    with zipfile.ZipFile(tmp_path / "huge.npz", "w") as archive, archive.open("masks.npy", "w") as stream:
+        np.lib.format.write_array_header_1_0(stream, {"descr": "|b1", "fortran_order": False, "shape": (2**50,)})
     for name, content in (
         ("cut.npz", whole[:-30]),
         ("none.npz", b""),
         ("turned.npz", whole[:header] + b"(" + whole[header + 1 :]),
     ):
         (tmp_path / name).write_bytes(content)
-    for name in ("objects.npz", "array.npy", "text.npz", "cut.npz", "none.npz", "turned.npz"):
+    for name in ("objects.npz", "array.npy", "text.npz", "cut.npz", "none.npz", "turned.npz", "huge.npz"):
         with pytest.raises(
             SystemExit, match=rf"{name} is damaged, no \.npz file, or holds Python objects; write it anew"
         ):

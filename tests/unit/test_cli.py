@@ -28,13 +28,14 @@ from pipeline.cli import reconstruct as reconstruction
 from pipeline.cli.__main__ import main
 from pipeline.cli.finishing import Reading, writing
 from pipeline.cli.outputs import Found
-from pipeline.cli.photographs import Target, Task, list_tasks
+from pipeline.cli.photographs import RECORD, Target, Task, list_tasks
 from pipeline.cli.reconstruct import Settings, Steps, _way
 from pipeline.cli.runs import Run
 from pipeline.datasets.decoding import Fit, decode
 from pipeline.errors import DataError
 from pipeline.export.animation import write_gif, write_mp4
 from pipeline.export.views import ViewConfig, on_white, render_textured
+from pipeline.files import alone
 from pipeline.geometry.camera import CameraConfig, pose_to_tensor
 from pipeline.networks.feature_extractor import extract, load_feature_extractor, save_feature_extractor
 from pipeline.networks.full_model import Reconstruction, full_model_texts
@@ -385,6 +386,13 @@ def test_a_folder_of_other_files_keeps_them(project: Path, tmp_path: Path) -> No
     assert [path.read_bytes() for path in (project / "out").iterdir()] == [b"mine"]
 
 
+def test_one_call_at_a_time_writes_to_a_folder(project: Path, tmp_path: Path) -> None:
+    with alone(project / "out" / RECORD), pytest.raises(SystemExit, match=r"another process is writing \S*out/"):
+        reconstruct(project, str(tmp_path / "car.png"), "--outputs", "pose")
+    assert list((project / "out").iterdir()) == []
+    assert "car_pose.json" in reconstruct(project, str(tmp_path / "car.png"), "--outputs", "pose")
+
+
 def test_a_folder_in_the_place_of_an_output_fails_its_photograph_alone(project: Path, tmp_path: Path) -> None:
     photographs = write_folder(tmp_path / "photographs", {"a.glb/x.png": (tmp_path / "car.png").read_bytes()})
     shutil.copy(tmp_path / "car.png", photographs / "a.png")
@@ -534,6 +542,15 @@ def test_a_missing_encoder_is_said_before_anything_is_inferred(
     assert not (project / "out").exists()
 
 
+def test_an_encoder_that_is_gone_is_said_before_anything_is_inferred(
+    project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("IMAGEIO_FFMPEG_EXE", str(tmp_path / "gone"))
+    with pytest.raises(SystemExit, match=r"^error: films need ffmpeg, which imageio-ffmpeg does not find; install it"):
+        reconstruct(project, str(tmp_path / "car.png"), "--outputs", "pose,video")
+    assert not (project / "out").exists()
+
+
 def test_a_photograph_that_is_named_twice_is_listed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "car.png").touch()
     monkeypatch.chdir(tmp_path)
@@ -561,8 +578,8 @@ def test_a_folder_that_cannot_be_written_is_said_before_anything_is_inferred(pro
         reconstruct(project, str(tmp_path / "car.png"))
 
 
-@pytest.mark.parametrize(("name", "becomes"), [(" .png", "_"), ("..png", "._"), ("...png", ".._")])
-def test_a_name_of_spaces_or_dots_becomes_one(tmp_path: Path, name: str, becomes: str) -> None:
+@pytest.mark.parametrize(("name", "becomes"), [(" .png", "_"), ("..png", "._"), ("...png", ".._"), ("a\\b.png", "a_b")])
+def test_a_name_that_readers_would_misunderstand_becomes_another(tmp_path: Path, name: str, becomes: str) -> None:
     (tmp_path / name).touch()
     assert list_tasks([tmp_path / name], tmp_path / "out") == [
         Task(tmp_path / name, Target(tmp_path / "out" / becomes))
@@ -695,6 +712,16 @@ def test_doctor_names_what_is_missing(project: Path, capsys: pytest.CaptureFixtu
     assert any(line.startswith("ok      torch ") for line in lines)
     assert any(line.startswith("ok      model of 'toybox-car'") for line in lines)
     assert any(line.startswith("ok      features of 'toybox-car'") for line in lines)
+
+
+def test_doctor_names_a_source_that_is_no_path(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    params = project / "params.yaml"
+    settings = YAML().load(params)
+    settings["datasets"]["toybox"]["source"] = 2024
+    YAML().dump(settings, params)
+    with pytest.raises(SystemExit):
+        main(["doctor", "--project", str(project)])
+    assert "'datasets.toybox.source' must be text, not 2024" in capsys.readouterr().out
 
 
 def test_doctor_needs_no_runs(project: Path, capsys: pytest.CaptureFixture[str]) -> None:

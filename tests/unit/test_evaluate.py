@@ -4,6 +4,7 @@ from dataclasses import replace
 import pytest
 import torch
 
+from pipeline.evaluation import shape_metrics
 from pipeline.evaluation.alignment import turn_pose, turn_vertices
 from pipeline.evaluation.artifacts import Truth
 from pipeline.evaluation.evaluate import ChainResult, chain_result, evaluate_images, evaluate_truth
@@ -67,6 +68,22 @@ def test_right_answers_in_a_turned_frame_score_full_marks(learned: ChainResult, 
     assert figures["shape"]["final_base"]["voxel_iou"]["value"] < figures["shape"]["base"]["voxel_iou"]["value"]
     assert table["rotation_error_predicted"].sort().values[-4:].tolist() == pytest.approx([180] * 4, abs=1e-3)
     assert table["rotation_error_tuned"].max() < 1e-3
+
+
+def test_shapes_of_many_faces_are_compared_in_parts(
+    learned: ChainResult, training: Truth, truth: Truth, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = evaluate_truth(learned, training, truth, CONFIG)[1]
+    monkeypatch.setattr(shape_metrics, "_FACES_AT_ONCE", 2 * len(learned.reconstructions.faces))
+    together: list[int] = []
+    sample = shape_metrics.sample_outer_surface
+    monkeypatch.setattr(
+        shape_metrics, "sample_outer_surface", lambda *shapes: together.append(len(shapes[0])) or sample(*shapes)
+    )
+    parts = evaluate_truth(learned, training, truth, CONFIG)[1]
+    assert max(together[1:]) == 2  # the first ones are the true shapes
+    assert torch.equal(parts["voxel_iou_tuned"], whole["voxel_iou_tuned"])
+    torch.testing.assert_close(parts["chamfer_l1_tuned"], whole["chamfer_l1_tuned"], atol=0.005, rtol=0)
 
 
 def test_the_training_split_alone_tells_the_turn(learned: ChainResult, training: Truth, truth: Truth) -> None:

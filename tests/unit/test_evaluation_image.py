@@ -3,7 +3,8 @@ import math
 import torch
 
 from pipeline.evaluation.image import psnr, ssim
-from pipeline.evaluation.image_metrics import image_figures
+from pipeline.evaluation.image_metrics import image_columns, image_figures
+from tests.tiny_full_model import tiny_extractor
 
 
 def test_psnr_of_a_constant_error() -> None:
@@ -43,10 +44,26 @@ def test_ssim_is_symmetric_and_falls_with_noise() -> None:
     torch.testing.assert_close(ssim(images + 0.2 * noise, images), much)
 
 
+def test_photographs_pass_through_the_network_once() -> None:
+    seen: list[torch.Tensor] = []
+    extractor = tiny_extractor()
+    extractor.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
+    images = torch.rand(5, 3, 32, 32, generator=torch.Generator().manual_seed(0))
+    drawn = {"predicted": images.flip(0), "tuned": images}
+    columns = image_columns(images, drawn, extractor, 2)
+    for part, expected in enumerate([images, *drawn.values()]):
+        assert torch.equal(torch.cat(seen[part::3]), expected)
+    assert len(seen) == 9
+    assert columns["tuned"]["feature_distance"].tolist() == [0] * 5
+    apart = columns["predicted"]["feature_distance"]
+    assert apart[2] == 0  # the middle one of five
+    assert (apart[[0, 1, 3, 4]] > 0).all()
+
+
 def test_improved_is_the_share_of_lower_distances() -> None:
     predicted = {"feature_distance": torch.tensor([1.0, 2.0, 3.0, 4.0])}
     tuned = {"feature_distance": torch.tensor([0.5, 1.0, 3.0, 2.0])}
-    improved = image_figures(predicted, tuned, predicted)["improved"]
+    improved = image_figures({"predicted": predicted, "tuned": tuned})["improved"]
     assert improved["value"] == 0.75
     assert improved["n"] == 4
     assert math.isclose(improved["standard_error"], 0.25)

@@ -132,6 +132,15 @@ def test_unusable_mesh_is_refused(spoil: Callable[[MappedMesh], MappedMesh], sen
         remesh_isotropic(spoil(MappedMesh(*deformed_sphere("dented", 2))), ISOTROPIC, SPHERE_MAP)
 
 
+def test_a_map_that_is_turned_over_in_parts_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = MappedMesh(*deformed_sphere("car", 2))
+    corner = mesh.faces[0, :1]
+    turned_over = mesh._replace(directions=mesh.directions.index_copy(0, corner, -mesh.directions[corner]))
+    monkeypatch.setattr(remeshing, "_remesh_half", lambda *_: turned_over)
+    with pytest.raises(MeshError, match="the map to the sphere turns"):
+        remesh_isotropic(mesh, ISOTROPIC, SPHERE_MAP)
+
+
 def test_distance_of_shifted_surfaces() -> None:
     mesh = MappedMesh(*deformed_sphere("dented"))
     shifted = mesh._replace(vertices=mesh.vertices + torch.tensor([0.0, 0.1, 0.0]))

@@ -41,6 +41,12 @@ def test_seeds_of_a_baseline_are_one_experiment() -> None:
     assert experiments == ["car-colmap"] * 3 + ["car", "car-seed1-longer"]
 
 
+def test_a_base_shape_that_is_trained_around_is_no_seed_of_the_run() -> None:
+    names = ("ship-around-car-seed1", "ship-around-car", "ship-seed1-around-car", "ship-seed2-around-car-seed1")
+    experiments = [MeasuredRun(name, None, {}).experiment for name in names]
+    assert experiments == ["ship-around-car-seed1", "ship-around-car", "ship-around-car", "ship-around-car-seed1"]
+
+
 def test_names_are_escaped(tmp_path: Path) -> None:
     write_runs_page(tmp_path / "index.html", [MeasuredRun("a<b", "a<b/index.html", figures(1))])
     assert '<a href="a&lt;b/index.html">a&lt;b</a>' in (tmp_path / "index.html").read_text()
