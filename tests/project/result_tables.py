@@ -8,12 +8,12 @@ seeds, or one seed's value and its standard error.
 import re
 import statistics
 from collections import Counter, defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 from pipeline.evaluation.tables import read_table
-from pipeline.export.runs_page import Figure, Figures, MeasuredRun
+from pipeline.export.runs_page import Figure, MeasuredRun
 from pipeline.files import read_json
 from tests.project.import_closure import ROOT
 
@@ -45,8 +45,8 @@ class Table(NamedTuple):
                 cells = [_cell([run[key] for run in runs if key in run]) for key in self.columns.values()]
                 yield [f"`{name}`", str(len(runs)), ", ".join(counts), *cells]
 
-    def _seeds(self, results: Path) -> dict[str, list[Figures]]:
-        seeds: defaultdict[str, list[Figures]] = defaultdict(list)
+    def _seeds(self, results: Path) -> dict[str, list[Mapping[str, Figure]]]:
+        seeds: defaultdict[str, list[Mapping[str, Figure]]] = defaultdict(list)
         for path in sorted((results / "metrics" / self.folder).glob("*.json")):
             run = MeasuredRun(path.stem, None, read_json(path))
             if re.fullmatch(self.runs, run.experiment):
@@ -82,9 +82,7 @@ def _sides(degrees: list[str]) -> list[int]:
 
 WHOLE = r"(?!.*(no-|fixed-base|single-stage|longer|sharper|-200-|-500-)).*"
 """Runs of all photographs, without an ablation, and baselines."""
-OLDER_ABLATIONS = r"toybox-car-(no-additions|no-copying-cost|no-ends|no-first-poses|single-stage.*)"
-"""Of code by which textures may copy the background."""
-ABLATIONS = r"toybox-car(-fixed-base|-no-exploration|-no-view-prior)?"
+ABLATIONS = r"toybox-car(-fixed-base|-no-(additions|ends|exploration|first-poses|view-prior)|-single-stage.*)?"
 WHOLE_CHAIN = {
     "acc_pi/6 predicted": "pose.test.acc_pi6",
     "fine-tuned": "pose.test_tuned.acc_pi6",
@@ -173,9 +171,7 @@ TABLES: dict[str, Table | Confusion] = {
     ),
     "base-shape-ablations": Table("evaluate_base_shape", r"toybox-car.*", {"base-shape IoU": "voxel_iou"}),
     "ablations": Table("", ABLATIONS, WHOLE_CHAIN),
-    "ablations-older": Table("", OLDER_ABLATIONS, WHOLE_CHAIN),
     "ablations-in-short": Table("", ABLATIONS, WHOLE_CHAIN_IN_SHORT),
-    "ablations-older-in-short": Table("", OLDER_ABLATIONS, WHOLE_CHAIN_IN_SHORT),
     "ablations-stanford-car": Table(
         "",
         r"stanford-car(-no-.*)?",
