@@ -40,10 +40,10 @@
     spin(spinning); // a choice that was made before has stopped it
   }
 
-  function complain(text) {
+  function complain(text) { // in the place of the mesh; an empty text shows the mesh again
     find('.problem').textContent = text;
-    find('.problem').hidden = false;
-    canvas.hidden = true;
+    find('.problem').hidden = !text;
+    canvas.hidden = Boolean(text);
   }
 
   function resize() {
@@ -75,6 +75,7 @@
       throw error;
     }
     if (choice !== chosen) return;
+    complain('');
     if (mesh) discard();
     mesh = loaded.scene.getObjectByProperty('isMesh', true);
     mesh.userData.painted = mesh.material;
