@@ -11,8 +11,10 @@ from pipeline.geometry.compliance import compliance_matrix
 from pipeline.geometry.ffd import CONTROL_POINTS, control_point_weights, deform
 from pipeline.geometry.normalize import fit_unit_cube
 from pipeline.geometry.symmetry import is_symmetric, mirror_index, symmetrize
+from pipeline.geometry.thickness import FarSide, far_side, thickness
 from pipeline.geometry.topology import laplacian_matrix
-from pipeline.ranges import NonNegative, Positive
+from pipeline.ranges import Fraction, NonNegative, Positive
+from pipeline.rendering.lighting import vertex_normals
 from pipeline.rendering.renderer import Mesh
 
 SLOPE = 0.1
@@ -33,6 +35,8 @@ class BaseLearningConfig:
     """How far a step at one vertex carries its neighbours along, see `compliance_matrix`."""
     mirror: bool
     """Whether offsets are mirror-symmetric about x = 0, as the base shape then has to be."""
+    thinnest: Fraction
+    """Part of its first thickness that the shape may keep at no price; nothing else keeps its two sides apart."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,7 @@ class BaseOffsets(nn.Module):
     compliance: Float[Tensor, "V V"]
     laplacian: Float[Tensor, "V V"]
     mirrored_vertices: Int[Tensor, " V"] | None
+    least_thickness: Float[Tensor, " V"]
 
     def __init__(self, base: Mesh, config: BaseLearningConfig) -> None:
         """Start without offsets. Raises ConfigError for a base shape that is less symmetric than its offsets."""
@@ -67,6 +72,11 @@ class BaseOffsets(nn.Module):
         self.register_buffer("compliance", compliance, persistent=False)
         self.register_buffer("laplacian", laplacian / laplacian.diagonal()[:, None], persistent=False)
         self.register_buffer("mirrored_vertices", _mirror_of(base) if config.mirror else None, persistent=False)
+        far = far_side(base.vertices[0], base.faces, vertex_normals(base.vertices, base.faces)[0])
+        for name, part in far._asdict().items():
+            self.register_buffer(f"far_{name}", part, persistent=False)
+        least = config.thinnest * thickness(base.vertices[0], far)
+        self.register_buffer("least_thickness", least, persistent=False)
 
     def forward(self) -> Float[Tensor, "V 3"]:
         """Return the offsets in world units. Gradients flow to the parameters."""
@@ -82,6 +92,14 @@ class BaseOffsets(nn.Module):
         """
         squares = (self.laplacian @ self()).square().sum(dim=1)
         return ((squares + FLAT**2).sqrt() - FLAT).sum()
+
+    def thinness(self, base: Float[Tensor, "V 3"]) -> Float[Tensor, ""]:
+        """Return the sum over vertices of the squared thickness that the shape lacks to be as thick as it has to be.
+
+        `base` is the shape with its offsets, in the unit cube.
+        """
+        far = FarSide(self.far_inwards, self.far_corners, self.far_weights)
+        return (self.least_thickness - thickness(base, far)).clamp_min(0).square().sum()
 
 
 def _mirror_of(base: Mesh) -> Int[Tensor, " V"]:

@@ -52,6 +52,8 @@ class LossConfig:
     """Of single-stage training's shapes: a grid around a base shape cannot become rough (paper section 4.1.3)."""
     base_roughness: NonNegative
     """Of the offsets of a base shape that goes on learning."""
+    base_thinness: NonNegative
+    """Of the same shape, where it becomes much thinner than it was: its two sides could change places."""
 
     @property
     def weights(self) -> dict[str, float]:
@@ -105,6 +107,7 @@ class FullLoss:
         terms = {"shape_prior": deviation.square().sum(dim=-1).mean()}
         if shapes.base_offsets is not None:
             terms["base_roughness"] = shapes.base_offsets.roughness()
+            terms["base_thinness"] = shapes.base_offsets.thinness(shapes.base())
         return terms
 
     def mirrored_regression(self, estimate: Estimate, best: Best) -> Float[Tensor, ""]:

@@ -101,6 +101,7 @@ def test_the_deepest_map_counts_by_its_weight(name: str) -> None:
         ("copied_background", TEXTURES),
         ("view_prior", TEXTURES | BACKGROUNDS | {"shapes", "discriminator"}),
         ("base_roughness", {"shapes"}),
+        ("base_thinness", {"shapes"}),
         ("smoothness", {"shape_encoder", "shape_decoder"}),
     ],
 )

@@ -51,7 +51,9 @@ def test_an_asymmetric_base_shape_learns_without_mirroring_alone() -> None:
     for other in (asymmetric, mesh._replace(vertices=mesh.vertices + 0.1 * mesh.vertices[..., [1, 0, 2]])):
         with pytest.raises(ConfigError, match=r"base_learning\.mirror"):
             FreeFormShapes(other, CONFIG)
-    shapes = FreeFormShapes(asymmetric, replace(CONFIG, base_learning=BaseLearningConfig(4.0, 2.0, mirror=False)))
+    assert CONFIG.base_learning is not None
+    unmirrored = replace(CONFIG.base_learning, mirror=False)
+    shapes = FreeFormShapes(asymmetric, replace(CONFIG, base_learning=unmirrored))
     assert shapes.base_offsets is not None
     with torch.no_grad():
         shapes.base_offsets.parameters_by_vertex[int(BASE[:, 0].argmax()), 1] = 0.1
@@ -94,6 +96,17 @@ def test_roughness_grows_with_the_square_of_dents_alone_that_hardly_count(size: 
             offsets.parameters_by_vertex[5, 2] = dent
         roughness.append(offsets.roughness().item())
     assert roughness[1] == pytest.approx(growth * roughness[0], rel=0.1)
+
+
+def test_a_base_shape_pays_for_what_is_thinner_than_part_of_what_it_was() -> None:
+    assert CONFIG.base_learning is not None
+    halved = replace(CONFIG.base_learning, thinnest=0.5)
+    offsets = FreeFormShapes(base_mesh(), replace(CONFIG, base_learning=halved)).base_offsets
+    assert offsets is not None
+    assert offsets.thinness(BASE) == offsets.thinness(0.51 * BASE) == 0
+    thin, inside_out = offsets.thinness(0.4 * BASE), offsets.thinness(-0.4 * BASE)
+    assert thin > 0
+    assert inside_out.item() == pytest.approx(81 * thin.item(), rel=1e-4)  # .9 of the thickness is lacking, not .1
 
 
 def test_a_base_shape_stays_in_the_unit_cube() -> None:
