@@ -15,6 +15,10 @@ endif
 ifneq ($(if $(filter run,$(MAKECMDGOALS)),,$(OPTIONS)),)
 $(error $(firstword $(OPTIONS)) is an option of make run: make run $(foreach option,$(OPTIONS),$(option)=$($(option))))
 endif
+ifneq ($(filter run,$(MAKECMDGOALS)),)
+$(if $(STRAY),$(error $(STRAY) is no option of make run; expected: $(NAMES)))
+$(if $(filter ROW,$(OPTIONS)),,$(error name a row: make run ROW=toybox-car, or another of those in params.yaml))
+endif
 SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))
 # The commands of an environment name its folder: where that was moved, it is set up anew.
 $(shell grep -qsxvF "$(CURDIR)" $(STAMP) && rm -rf .venv)
@@ -32,8 +36,6 @@ repro: $(STAMP)  ## run the pipeline: by default the toybox car, from pictures t
 install: $(STAMP)  ## set up the environment alone
 
 run: $(if $(filter BASELINE,$(OPTIONS)),$(TOOLS),$(STAMP))  ## add a run to params.yaml and run it: ROW= SIZE=laptop|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASE_SHAPE= BASELINE=
-	@test -n "$(filter ROW,$(OPTIONS))" || { echo "name a row: make run ROW=toybox-car, or another of those in params.yaml" >&2; exit 2; }
-	$(if $(STRAY),$(error $(STRAY) is no option of make run; expected: $(NAMES)))
 	@python -m stages.run_row $(foreach option,$(OPTIONS),--$(shell echo $(option) | tr A-Z a-z)="$$$(option)")
 
 test: $(TOOLS)  ## the whole test suite

@@ -1,4 +1,4 @@
-"""Compare two processes with one that has the threads of both, at laptop size: one shared batch, and two seeds.
+"""Compare two processes with one that has the threads of both, on a CPU at laptop size: a shared batch, and two seeds.
 
 `extra_info` holds the ratio of throughputs, above 1 where two processes are faster (goal for a shared batch: at least
 1), the seconds behind it and how losses differ: those of the first step by rounding, later ones by more, because Adam's
@@ -27,13 +27,14 @@ from pipeline.training.base_shape import BaseShapeConfig, SeedTrainer
 from pipeline.training.photographs import Photographs
 
 SECTIONS = ("learn_base_shape", "rows.toybox-car.learn_base_shape", "sizes.laptop.learn_base_shape")
+CPU = torch.device("cpu")
 ORDER = (1, 2, 2, 1)
 STEPS = 3
 
 
 def share_batches(out: Path) -> None:
     """Time steps of full training whose batches the processes share."""
-    trainer = trainer_of("laptop")
+    trainer = trainer_of("laptop", CPU)
     first = trainer.step(0)["loss"].item()
     start = perf_counter()
     losses = [trainer.step(iteration)["loss"].item() for iteration in range(1, 1 + STEPS)]
@@ -47,15 +48,15 @@ def divide_seeds(out: Path) -> None:
         extractor = FeatureExtractor(WideResNet(16, 2, 4), color_weight=60.0)
     pictures = torch.randint(0, 256, (256, 3, 32, 32), generator=generator(0)).to(torch.uint8)
     photographs = Photographs(pictures, extractor, 64, memory=2**30)
-    sphere = build_sphere(config.subdivisions, torch.device("cpu"))
+    sphere = build_sphere(config.subdivisions, CPU)
 
-    def learn(index: int) -> float:
+    def learn(index: int) -> list[float]:
         trainer = SeedTrainer(config, sphere, photographs, 0, index)
-        return [trainer.step(iteration)["reconstruction"] for iteration in range(STEPS)][-1].item()
+        return [trainer.step(iteration)["reconstruction"].item() for iteration in range(STEPS)]
 
     divide(lambda _: SeedTrainer(config, sphere, photographs, 1, 0).step(0), 2)
     start = perf_counter()
-    _write(out, start, divide(learn, 2))
+    _write(out, start, [loss for losses in divide(learn, 2) for loss in losses])
 
 
 def _write(out: Path, start: float, losses: list[float]) -> None:
@@ -68,7 +69,7 @@ def _write(out: Path, start: float, losses: list[float]) -> None:
 def test_two_processes_against_one(benchmark: BenchmarkFixture, work: Callable[[Path], None], tmp_path: Path) -> None:
     def compare() -> None:
         for number, processes in enumerate(ORDER):
-            share_work(processes, torch.device("cpu"), work, tmp_path / f"{number}.json")
+            share_work(processes, CPU, work, tmp_path / f"{number}.json")
 
     benchmark.pedantic(compare, rounds=1)
     measured = [read_json(tmp_path / f"{number}.json") for number in range(len(ORDER))]

@@ -1,7 +1,7 @@
 """Time one step of full training, with the two floors below it, its ten largest items and the share outside networks.
 
 They are written into the benchmark's `extra_info`. Goals: at paper size on a GPU 15 ms, and half of that the larger
-floor; on a CPU a share outside networks of at most 0.15. A step at paper size takes a minute or more on a CPU.
+floor; on a CPU a share outside networks of at most 0.15. A step at paper size takes 4 to 20 seconds on two cores.
 """
 
 from collections.abc import Iterator
@@ -33,16 +33,16 @@ WIDTHS = {"laptop": 2, "paper": 4}
 NETWORK, STEP = "a network's forward", "a step"
 
 
-def trainer_of(size: str) -> FullTrainer:
+def trainer_of(size: str, device: torch.device = DEVICE) -> FullTrainer:
     """Build a trainer whose extractor has random weights: they do not change the time."""
     sections = ("train_full", "rows.cifar10-automobile.train_full", f"sizes.{size}.train_full")
     config = load(PARAMETERS, FullTrainingConfig, sections)
-    directions, faces = (part.to(DEVICE) for part in icosphere(3))
+    directions, faces = (part.to(device) for part in icosphere(3))
     base = Mesh(directions[None] * directions.new_tensor([0.25, 0.25, 0.5]), faces, directions)
     with initialised(0):
         extractor = FeatureExtractor(WideResNet(16, WIDTHS[size], 4), color_weight=60.0)
-    extractor.to(DEVICE, resolve_precision("auto", DEVICE))
-    pictures = torch.randint(0, 256, (256, 3, 32, 32), generator=generator(0)).to(DEVICE, torch.uint8)
+    extractor.to(device, resolve_precision("auto", device))
+    pictures = torch.randint(0, 256, (256, 3, 32, 32), generator=generator(0)).to(device, torch.uint8)
     return FullTrainer(config, Photographs(pictures, extractor, 64, memory=2**30), base, seed=0)
 
 

@@ -94,6 +94,9 @@ def _start(
             f"process {rank} of {processes} was {how}, and the others were stopped; run the same command again: it "
             "goes on from the last restart state"
         ) from None
+    finally:
+        for file in filter(None, context.error_files):  # which PyTorch leaves behind
+            Path(file).unlink(missing_ok=True)
 
 
 def _find_killed(error: ProcessException, context: ProcessContext) -> tuple[int, signal.Signals] | None:

@@ -61,7 +61,8 @@ def _first_exits(
     nearest, face = torch.where(left, distance, torch.inf).min(dim=1, keepdim=True)
     weights = torch.cat([(1 - u - v).gather(1, face), u.gather(1, face), v.gather(1, face)], dim=1)
     somewhere = nearest.isfinite()
-    return torch.where(somewhere, faces[face[:, 0]], start[:, None]), torch.where(somewhere, weights, weights.new_tensor([1, 0, 0]))
+    corners = torch.where(somewhere, faces[face[:, 0]], start[:, None])
+    return corners, torch.where(somewhere, weights, weights.new_tensor([1, 0, 0]))
 
 
 def _touches(faces: Int[Tensor, "F 3"], start: Int[Tensor, " W"]) -> Bool[Tensor, "W F"]:

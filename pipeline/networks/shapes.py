@@ -61,6 +61,9 @@ class BaseOffsets(nn.Module):
     compliance: Float[Tensor, "V V"]
     laplacian: Float[Tensor, "V V"]
     mirrored_vertices: Int[Tensor, " V"] | None
+    far_inwards: Float[Tensor, "V 3"]
+    far_corners: Int[Tensor, "V 3"]
+    far_weights: Float[Tensor, "V 3"]
     least_thickness: Float[Tensor, " V"]
 
     def __init__(self, base: Mesh, config: BaseLearningConfig) -> None:

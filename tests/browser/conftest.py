@@ -1,4 +1,4 @@
-"""A headless Chromium, and the report of a tiny run to look at in it."""
+"""A headless Chromium."""
 
 import os
 import shutil

@@ -131,11 +131,17 @@ def test_one_process_goes_on_where_one_of_two_was_killed(one: Path, killed: Path
 
 @pytest.mark.parametrize("working", [True, False], ids=["at work", "not yet at work"])
 def test_processes_end_with_the_one_that_started_them(tmp_path: Path, working: bool) -> None:
-    starter = subprocess.Popen([sys.executable, "-m", "tests.lasting_work", tmp_path], cwd=ROOT)
-    assert soon(lambda: len(list(tmp_path.iterdir()) if working else children(starter.pid)) >= 2)
-    started = children(starter.pid)
-    starter.kill()
-    starter.wait()
+    numbers, left_behind = tmp_path / "numbers", tmp_path / "left_behind"
+    numbers.mkdir()
+    left_behind.mkdir()
+    words = [sys.executable, "-m", "tests.lasting_work", numbers]
+    starter = subprocess.Popen(words, cwd=ROOT, env=os.environ | {"TMPDIR": str(left_behind)})
+    try:
+        assert soon(lambda: len(list(numbers.iterdir()) if working else children(starter.pid)) >= 2)
+        started = children(starter.pid)
+    finally:
+        starter.kill()
+        starter.wait()
     assert soon(lambda: not any(map(is_alive, started)))
 
 

@@ -8,7 +8,6 @@ import torch
 
 from pipeline.errors import TrainingDiverged
 from pipeline.seeding import generator
-from pipeline.training import warm_up as module
 from pipeline.training import warm_up as warm_up_module
 from pipeline.training.optimization import adam
 from pipeline.training.warm_up import draw_sample, warm_up, warm_up_loss
@@ -90,7 +89,7 @@ def test_every_encoder_and_decoder_of_pictures_and_poses_learns() -> None:
 
 def test_the_warm_up_takes_the_betas_of_its_settings(monkeypatch: pytest.MonkeyPatch) -> None:
     given: list[Any] = []
-    monkeypatch.setattr(module, "adam", lambda *words: (given.append(words[1:]), adam(*words))[1])
+    monkeypatch.setattr(warm_up_module, "adam", lambda *words: (given.append(words[1:]), adam(*words))[1])
     config = replace(TRAINING.warm_up, iterations=1, betas=(0.3, 0.7))
-    module.warm_up(tiny_model(), tiny_scenes().generators[0], config, generator(0))
+    warm_up_module.warm_up(tiny_model(), tiny_scenes().generators[0], config, generator(0))
     assert given == [(config.learning_rate, (0.3, 0.7))]

@@ -13,6 +13,8 @@ from ruamel.yaml import YAML
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("pipeline", "stages")
 CODE = (".py", ".js")
+TRAINING = ["train_features", "learn_base_shape", "train_full", "fine_tune", "train_hologan"]
+"""Stages that train."""
 
 
 def import_closure(module: str, root: Path = ROOT) -> list[str]:

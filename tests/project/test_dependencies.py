@@ -7,7 +7,7 @@ import tomllib
 from pathlib import Path
 
 from pipeline.rendering.compiled import KERNELS
-from tests.project.import_closure import ROOT, import_closure
+from tests.project.import_closure import ROOT, TRAINING, import_closure
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
 PACKAGE_OF = {
@@ -18,7 +18,6 @@ PACKAGE_OF = {
     "ruamel": "ruamel.yaml",
     "yaml": "pyyaml",
 }
-TRAINING = ["train_features", "learn_base_shape", "train_full", "fine_tune", "train_hologan"]
 
 
 def _names(requirements: list[str]) -> set[str]:

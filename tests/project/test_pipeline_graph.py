@@ -13,12 +13,11 @@ from pipeline.cli.runs import Run, photographs_file, truth_folder
 from pipeline.files import write_json
 from pipeline.rows.entries import settings_of
 from stages.settings import CONFIGS
-from tests.project.import_closure import ROOT, code_dependencies, import_closure, stage_bodies
+from tests.project.import_closure import ROOT, TRAINING, code_dependencies, import_closure, stage_bodies
 
 DOCUMENT = YAML(typ="safe").load(ROOT / "dvc.yaml")
 PARAMS = YAML(typ="safe").load(ROOT / "params.yaml")
 STAGES = stage_bodies(DOCUMENT)
-TRAINING = ["train_features", "learn_base_shape", "train_full", "fine_tune", "train_hologan"]
 BASELINES = ["train_hologan", "evaluate_hologan", "evaluate_colmap"]
 MIDDLE = ["evaluate_base_shape", "remesh"]
 CHAIN = ["prepare_data", *TRAINING[:2], *MIDDLE, *TRAINING[2:4], "evaluate", "report", *BASELINES]

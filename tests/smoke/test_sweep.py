@@ -39,7 +39,8 @@ def project(meeting: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "dvc.yaml").write_text(graph.replace(command, f"python meeting.py {meeting} -m stages.train_features"))
     run(folder, "dvc", "config", "--unset", "core.no_scm")
     run(folder, "git", "init", "--quiet")
-    for key, value in (("user.name", "a tester"), ("user.email", "tester@example.org")):
+    settings = {"user.name": "a tester", "user.email": "tester@example.org", "commit.gpgsign": "false"}
+    for key, value in settings.items():
         run(folder, "git", "config", key, value)
     run(folder, "dvc", "repro", STAGE)
     run(folder, "git", "add", ".")

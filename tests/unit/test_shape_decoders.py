@@ -8,7 +8,7 @@ import torch
 
 from pipeline.errors import ConfigError
 from pipeline.geometry.symmetry import mirror_index, reflect
-from pipeline.networks.shapes import BaseLearningConfig, FreeFormShapes, OffsetShapes, ShapeDecoder
+from pipeline.networks.shapes import FreeFormShapes, OffsetShapes, ShapeDecoder
 from pipeline.seeding import generator, initialised
 from tests.tiny_full_model import MODEL, base_mesh
 
