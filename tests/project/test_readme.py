@@ -71,11 +71,21 @@ def test_baselines_alone_are_installed_for() -> None:
         assert f"BASELINE is {baseline}; expected hologan or colmap" in made.stderr
 
 
-def test_words_after_make_run_that_are_no_options_are_errors() -> None:
-    words = ["make", "--dry-run", "run", "ROW=toybox-car", "SORCE=pictures", "PYTHON=python3"]
-    made = subprocess.run(words, cwd=ROOT, stderr=subprocess.PIPE, text=True, check=False)
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["ROW=toybox-car", "SORCE=x", "PYTHON=python3"], "SORCE is no option of make run; expected: ROW SIZE SOURCE"),
+        (["SEED=3"], "name a row: make run ROW=toybox-car"),
+    ],
+)
+def test_wrong_words_after_make_run_are_told_before_the_installation(
+    words: list[str], sentence: str, tmp_path: Path
+) -> None:
+    shutil.copy(ROOT / "Makefile", tmp_path)
+    made = subprocess.run(["make", "run", *words], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert made.returncode == 2
-    assert "SORCE is no option of make run; expected: ROW SIZE SOURCE" in made.stderr
+    assert sentence in made.stderr
+    assert made.stdout == ""
 
 
 def test_options_of_make_run_are_errors_elsewhere() -> None:
