@@ -24,8 +24,9 @@ MAKEFILE = (ROOT / "Makefile").read_text()
 
 @pytest.fixture(autouse=True)
 def without_outer_make(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let `make` see its own words alone, not those of the `make test` around it."""
-    monkeypatch.delenv("MAKEFLAGS", raising=False)
+    """Let `make` see its own words alone, not those of the `make test` around it, and take itself for the first."""
+    for name in ("MAKEFLAGS", "MAKELEVEL"):
+        monkeypatch.delenv(name, raising=False)
 
 
 @pytest.fixture(scope="module")
