@@ -1,10 +1,9 @@
 """Read params.yaml into frozen dataclasses, strictly: the only reader of settings; `pipeline.rows` edits the file."""
 
-import difflib
 import json
 import re
 import sys
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, 
 import yaml
 
 from pipeline.errors import ConfigError, DataError
+from pipeline.naming import did_you_mean
 from pipeline.ranges import PowersOfTwo, Range
 
 Config = TypeVar("Config")
@@ -144,7 +144,7 @@ def _find(document: dict[str, Any], dotted: str, path: Path) -> Any:
     for key in dotted.split("."):
         if not isinstance(found, dict) or key not in found:
             siblings = found if isinstance(found, dict) else ()
-            known = nearest(key, siblings, prefix=".".join([*walked, ""]))
+            known = did_you_mean(key, siblings, prefix=".".join([*walked, ""]))
             raise ConfigError(f"{path} has no '{dotted}'{known}")
         found = found[key]
         walked.append(key)
@@ -181,7 +181,9 @@ def _build(config_class: type[Config], values: dict[str, Any], section: str, pat
     names = [field.name for field in fields(config_class)]  # pyright: ignore[reportArgumentType]
     for name, value in values.items():
         if name not in names:
-            raise ConfigError(f"{path}: unknown key '{_key(value, f'{section}.{name}')}'{nearest(str(name), names)}")
+            raise ConfigError(
+                f"{path}: unknown key '{_key(value, f'{section}.{name}')}'{did_you_mean(str(name), names)}"
+            )
     for name in names:
         if name not in values:
             raise ConfigError(f"{path}: '{section}.{name}' is missing; expected {_describe(hints[name])}")
@@ -244,26 +246,6 @@ def _key(value: Any, otherwise: str) -> str:
     while isinstance(value, dict) and value:
         value, depth = next(iter(value.values())), depth + 1
     return value.key.rsplit(".", depth)[0] if isinstance(value, _Leaf) else otherwise
-
-
-def nearest(name: str, candidates: Iterable[str], prefix: str = "") -> str:
-    """Return the end of a sentence that says no such name is known: the nearest one that is, or all of them."""
-    names = sorted(map(str, candidates))
-    near = difflib.get_close_matches(name, names, n=1, cutoff=0.5)
-    if near:
-        return f"; did you mean '{prefix}{near[0]}'?"
-    return f"; expected one of: {', '.join(names)}" if names else ""
-
-
-def is_plain(name: str) -> bool:
-    """Tell whether a name can be a category's or a run's: a part of commands, of keys of params.yaml and of files."""
-    return re.fullmatch(r"[A-Za-z0-9_][A-Za-z0-9_-]*", name) is not None
-
-
-def require_known(name: str, known: Collection[str], lack: str) -> None:
-    """Raise ConfigError where a name is none of those known; `lack` begins its sentence."""
-    if name not in known:
-        raise ConfigError(f"{lack} '{name}'{nearest(str(name), known)}")
 
 
 def _describe(hint: Any) -> str:

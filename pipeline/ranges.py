@@ -56,7 +56,7 @@ Rim = Annotated[float, Range(0, 0.5)]
 """A share of points that lie outermost to one side."""
 Momentum = Annotated[float, Range(0, 1, open_high=True)]
 """How much of a running mean a step keeps, such as Adam's betas."""
-Slant = Annotated[float, Range(0, 180)]
+Angle = Annotated[float, Range(0, 180)]
 """The size of an angle, in degrees."""
 Azimuth = Annotated[float, Range(-360, 360)]
 """An angle around the vertical, in degrees."""

@@ -12,7 +12,7 @@ from pipeline.distributed import is_first
 from pipeline.files import write_json
 from pipeline.launch import resolve_processes, share_work
 from pipeline.networks.feature_extractor import load_feature_extractor
-from pipeline.networks.scene_generator import scene_tensors, scene_texts
+from pipeline.networks.scene_generator import scene_metadata, scene_tensors
 from pipeline.tensor_files import save_tensors
 from pipeline.training.base_shape import BaseShapeConfig, BaseShapes, learn_base_shape
 from pipeline.training.checkpoint import Checkpoint, reserved, restart_key
@@ -36,11 +36,11 @@ def learn(config: BaseShapeConfig, arguments: Namespace, device: torch.device) -
     memory, size = resolve_memory(scalar(arguments.params, "memory")), config.renderer.size
     precision = resolve_precision(scalar(arguments.params, "precision"), device)
     key = restart_key(config, [arguments.images, arguments.features], arguments.seed, device, precision)
-    checkpoints = [Checkpoint(arguments.checkpoints / str(index), key) for index in range(config.seeds)]
+    checkpoint = Checkpoint(arguments.checkpoints, key)
     images = place_images([load_images_to_reduce(arguments.images, size)], device, memory, size)
     extractor = load_feature_extractor(arguments.features, device, precision)
     shapes = learn_base_shape(
-        config, Photographs(images, extractor, config.batch_size, memory), arguments.seed, checkpoints
+        config, Photographs(images, extractor, config.batch_size, memory), arguments.seed, checkpoint
     )
     if not is_first():
         return
@@ -48,8 +48,7 @@ def learn(config: BaseShapeConfig, arguments: Namespace, device: torch.device) -
     shapes.curve.write(arguments.curve)
     scores = shapes.scores.tolist()
     write_json(arguments.metrics, {"best_seed": shapes.best, "scores": scores, "seeds": len(scores)})
-    for checkpoint in checkpoints:
-        checkpoint.clear()
+    checkpoint.clear()
 
 
 def save(shapes: BaseShapes, path: Path) -> None:
@@ -61,7 +60,7 @@ def save(shapes: BaseShapes, path: Path) -> None:
         "seed_scores": shapes.scores,
         **scene_tensors(shapes.generators),
     }
-    save_tensors(path, tensors, scene_texts(shapes.generators[0]))
+    save_tensors(path, tensors, scene_metadata(shapes.generators[0]))
 
 
 if __name__ == "__main__":

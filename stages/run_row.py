@@ -6,7 +6,8 @@ from argparse import ArgumentParser
 from pathlib import Path
 
 from pipeline.errors import ConfigError
-from pipeline.rows.turn_on import BASELINES, Options, turn_on
+from pipeline.rows.options import BASELINES, Options
+from pipeline.rows.turn_on import turn_on
 from stages.command_line import run
 from stages.settings import require_settings
 

@@ -13,9 +13,8 @@ from pipeline.files import write_json
 from pipeline.geometry.camera import pose_to_tensor
 from pipeline.launch import resolve_processes, share_work
 from pipeline.networks.feature_extractor import load_feature_extractor
-from pipeline.networks.full_model import full_model_texts
+from pipeline.networks.full_model import save_full_model
 from pipeline.networks.scene_generator import load_scenes
-from pipeline.tensor_files import save_tensors
 from pipeline.training.checkpoint import Checkpoint, reserved, restart_key
 from pipeline.training.full import load_base, train_full
 from pipeline.training.full_trainer import FullTrainer, FullTrainingConfig
@@ -60,8 +59,8 @@ def train(arguments: Namespace, device: torch.device) -> None:
 
 def save(trainer: FullTrainer, path: Path) -> None:
     """Write the model and the poses it recorded of the training photographs."""
-    recorded = {"train_pose": pose_to_tensor(trainer.recorded_pose()), "train_visits": trainer.visits}
-    save_tensors(path, trainer.model.state_dict() | recorded, full_model_texts(trainer.model))
+    recorded = {"train_pose": pose_to_tensor(trainer.records.poses()), "train_visits": trainer.records.visits}
+    save_full_model(path, trainer.model, recorded)
 
 
 if __name__ == "__main__":

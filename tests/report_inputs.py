@@ -10,7 +10,7 @@ from pipeline.geometry.icosphere import icosphere
 
 CAMERA = CameraConfig(distance=2.7, field_of_view=30.0)
 VIEW = ViewConfig(size=24, supersampling=2, elevation=0.0)
-CONFIG = ReportConfig(seed=0, examples=2, stepped=1, frames=4, other_view=90.0, view=VIEW)
+CONFIG = ReportConfig(seed=0, examples=2, stepped=1, other_view=90.0, view=VIEW)
 COUNT = 4
 ORANGE, BLUE = torch.tensor([1.0, 0.5, 0.0]), torch.tensor([0.0, 0.2, 0.8])
 DIMENSIONS = torch.tensor([0.5, 0.4, 1.0])

@@ -31,7 +31,7 @@ from pipeline.training.lessons import learn_poses
 from pipeline.training.photographs import Photographs
 from pipeline.training.warm_up import warm_up
 from tests.learning import test_base_shape, test_train_features
-from tests.tiny_full_model import TRAINING, base_mesh, photographs, tiny_extractor, tiny_scenes
+from tests.tiny_full_model import ENDS, TRAINING, base_mesh, photographs, tiny_extractor, tiny_scenes
 
 MEMORY = 2**30
 SEEDS = replace(test_base_shape.CONFIG, seeds=3, iterations=2)
@@ -72,8 +72,7 @@ def learn_seeds(folder: Path) -> None:
     images, _ = photographs(8)
     with patch.object(SeedTrainer, "step", counted):
         pictures = Photographs(images[:, :, ::2, ::2], tiny_extractor(), SEEDS.batch_size, MEMORY)
-        checkpoints = [Checkpoint(folder / "seeds" / str(index), "key") for index in range(SEEDS.seeds)]
-        shapes = learn_base_shape(SEEDS, pictures, 0, checkpoints)
+        shapes = learn_base_shape(SEEDS, pictures, 0, Checkpoint(folder / "seeds", "key"))
     (folder / f"{world().rank}.steps.json").write_text(json.dumps(steps))
     if is_first():
         tensors = {"vertices": shapes.vertices, "scores": shapes.scores, **scene_tensors(shapes.generators)}
@@ -96,7 +95,11 @@ def train(folder: Path, dying: int | None) -> None:
         pictures = Photographs(images, tiny_extractor(), TRAINING.batch_size, MEMORY)
         trainer, curve = train_full(TRAINING, pictures, base_mesh(), tiny_scenes(), 0, checkpoint)
     if is_first():
-        record = {"pose": trainer.record.pose, "shape": trainer.record.shape, "visits": trainer.visits}
+        record = {
+            "pose": trainer.records.best.pose,
+            "shape": trainer.records.best.shape,
+            "visits": trainer.records.visits,
+        }
         save_tensors(folder / "full.safetensors", {**trainer.model.state_dict(), **record}, {})
         curve.write(folder / "full.csv")
 
@@ -152,11 +155,12 @@ def _ends() -> dict[str, Tensor]:
     images, poses = photographs(80)
     config, extractor = replace(TRAINING, lessons=replace(TRAINING.lessons, iterations=1)), tiny_extractor()
     trainer = FullTrainer(config, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
-    trainer.record, trainer.visits = Record(poses, trainer.record.shape), trainer.visits + 1
+    trainer.records.best = Record(poses, trainer.records.best.shape)
+    trainer.records.visits += 1
     with patch.object(ends, "consistent_axes", _axes_of_a_device_that_rounds_differently):
-        trainer.turn_round(ends.EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 75.0, 3, 4.0, 2, 60))
+        trainer.records.turn_round(replace(ENDS, side_reach=75.0, photographs=60))
     drawn = {"ends rng": trainer.rng.get_state()}
-    return {**_weights("ends", trainer.model), **drawn, "ends record": trainer.record.pose}
+    return {**_weights("ends", trainer.model), **drawn, "ends record": trainer.records.best.pose}
 
 
 def _axes_of_a_device_that_rounds_differently(*arguments: Any) -> Tensor:
@@ -177,9 +181,9 @@ def _full_step(name: str, iteration: int) -> dict[str, Tensor]:
         **_weights(f"{name} full", trainer.model),
         **_weights(f"{name} discriminator", trainer.discriminator),
         f"{name} full.losses": torch.stack(losses),
-        f"{name} record.pose": trainer.record.pose,
-        f"{name} record.shape": trainer.record.shape,
-        f"{name} record.visits": trainer.visits,
+        f"{name} record.pose": trainer.records.best.pose,
+        f"{name} record.shape": trainer.records.best.shape,
+        f"{name} record.visits": trainer.records.visits,
     }
 
 

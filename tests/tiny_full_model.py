@@ -31,6 +31,7 @@ from pipeline.rendering.renderer import Mesh, RendererConfig
 from pipeline.seeding import generator, initialised
 from pipeline.training.azimuths import ConsensusConfig
 from pipeline.training.candidates import ExplorationConfig, ShapeSearchConfig
+from pipeline.training.ends import EndsConfig
 from pipeline.training.first_poses import FirstPosesConfig
 from pipeline.training.full_losses import LossConfig
 from pipeline.training.full_trainer import EllipsoidConfig, FullTrainingConfig
@@ -64,6 +65,19 @@ MODEL = FullModelConfig(
     ),
     renderer=RendererConfig(CameraConfig(2.7, 30.0), 32, 2),
 )
+ENDS = EndsConfig(
+    shown="equally",
+    after=(),
+    box_size=0.85,
+    components=8,
+    repainting_floor=0.3,
+    consistency=2.0,
+    side_reach=60.0,
+    rounds=3,
+    ridge=4.0,
+    folds=2,
+    photographs=1000,
+)
 TRAINING = FullTrainingConfig(
     iterations=4,
     batch_size=4,
@@ -83,9 +97,26 @@ TRAINING = FullTrainingConfig(
         paint=0.3,
         noise=0.1,
     ),
-    first_poses=FirstPosesConfig(8, 0.5, 0.1, 0.85, 1.0, 20.0, ConsensusConfig(1, 0.4, 4, 0.3, 0.3, 2, 3.0), 100),
-    lessons=LessonsConfig(2, 4, 1e-3, (0.9, 0.99)),
-    ends=None,
+    first_poses=FirstPosesConfig(
+        renderings=8,
+        pose_reach=0.5,
+        box_jitter=0.1,
+        box_size=0.85,
+        temperature=1.0,
+        concentration=20.0,
+        consensus=ConsensusConfig(
+            rounds=1,
+            smaller_end=0.4,
+            components=4,
+            repainting_floor=0.3,
+            ridge=0.3,
+            folds=2,
+            sharpness=3.0,
+        ),
+        photographs=100,
+    ),
+    lessons=LessonsConfig(iterations=2, batch_size=4, learning_rate=1e-3, betas=(0.9, 0.99)),
+    ends=ENDS,
     settle=0.5,
     exploration=ExplorationConfig(
         map_weights=(0.1, 1.0, 2.0),

@@ -13,10 +13,10 @@ from PIL.TiffImagePlugin import PHOTOMETRIC_INTERPRETATION, TiffImageFile
 from tqdm import tqdm
 
 from pipeline.cli.photographs import find_photographs, visible_files
-from pipeline.config import is_plain
 from pipeline.datasets.decoding import open_picture, reading, to_srgb
 from pipeline.errors import DataError
 from pipeline.files import alone, atomic_path
+from pipeline.naming import is_plain
 
 TEST_EVERY = 10
 LONGEST = 1024

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.cli.runs import photographs_file, truth_folder
-from pipeline.config import is_plain, load, nearest
+from pipeline.config import load
 from pipeline.datasets.images import load_images
 from pipeline.errors import ConfigError, DataError
 from pipeline.evaluation.artifacts import load_truth
@@ -13,6 +13,7 @@ from pipeline.evaluation.benchmark import benchmark_figures
 from pipeline.evaluation.evaluate import EvaluateConfig
 from pipeline.evaluation.predictions import Counts, read_predictions
 from pipeline.files import read_json, write_json
+from pipeline.naming import did_you_mean, is_plain
 
 
 def benchmark(predictions: Path, project: Path, dataset: str, category: str, out: Path) -> dict[str, Any]:
@@ -28,7 +29,9 @@ def benchmark(predictions: Path, project: Path, dataset: str, category: str, out
     config = load(project / "params.yaml", EvaluateConfig, ["evaluate"])
     folder = truth_folder(project, dataset)
     if (truth := load_truth(folder, category)) is None:
-        raise ConfigError(f"{folder} has no category '{category}'{nearest(category, read_json(folder / 'index.json'))}")
+        raise ConfigError(
+            f"{folder} has no category '{category}'{did_you_mean(category, read_json(folder / 'index.json'))}"
+        )
     photographs = load_images(photographs_file(project, dataset, "test", category))
     counts = Counts(len(truth[0].pose.azimuth), len(photographs), photographs.shape[-1])
     figures = benchmark_figures(read_predictions(predictions, counts), *truth, photographs, config)

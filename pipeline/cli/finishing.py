@@ -13,13 +13,12 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 from torch.nn import functional
 
-from pipeline.cli.outputs import Found, write_outputs
+from pipeline.cli.outputs import Found, TurntableConfig, write_outputs
 from pipeline.cli.photographs import Task
 from pipeline.datasets.decoding import Fit, decode, decode_up_to, reading
 from pipeline.errors import DataError
 from pipeline.export.painting import PaintingConfig, paint
 from pipeline.export.picture import write_png
-from pipeline.export.report import ReportConfig
 from pipeline.export.seam import Seam, cut_open
 from pipeline.networks.full_model import FullModel
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
@@ -77,7 +76,7 @@ class Writing(NamedTuple):
 
     reading: Reading
     outputs: Sequence[str]
-    report: ReportConfig
+    turntable: TurntableConfig
     painting: PaintingConfig | None
     """How meshes are painted with their photographs; None where they are not."""
     renderer: RendererConfig
@@ -104,7 +103,7 @@ class Writing(NamedTuple):
         seen = self.reading.again(picture, _SEEN_SIZE) if "picture" in self.outputs else None
         picture.task.claim(picture.content_hash)
         mesh = Mesh(found.vertices, self.faces, self.directions)
-        write_outputs(picture.task.target, found, mesh, self.renderer.camera, self.seam, self.report, self.outputs)
+        write_outputs(picture.task.target, found, mesh, self.renderer.camera, self.seam, self.turntable, self.outputs)
         if seen is not None:
             write_png(picture.task.target.file("_photograph.png"), seen)
 
@@ -120,9 +119,15 @@ class Writing(NamedTuple):
 
 
 def writing(
-    model: FullModel, reading: Reading, outputs: Sequence[str], report: ReportConfig, painting: PaintingConfig | None
+    model: FullModel,
+    reading: Reading,
+    outputs: Sequence[str],
+    turntable: TurntableConfig,
+    painting: PaintingConfig | None,
 ) -> Writing:
     """Say how what a model finds is written; on the CPU, where it is done."""
     faces, directions, config = model.faces.cpu(), model.directions.cpu(), model.config
     seam = cut_open(faces, directions)
-    return Writing(reading, outputs, report, painting, config.renderer, config.mirror_texture, faces, directions, seam)
+    return Writing(
+        reading, outputs, turntable, painting, config.renderer, config.mirror_texture, faces, directions, seam
+    )

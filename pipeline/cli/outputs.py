@@ -1,6 +1,7 @@
 """What is written of a reconstructed photograph."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from jaxtyping import Float
@@ -11,12 +12,22 @@ from pipeline.export.animation import write_gif, write_mp4
 from pipeline.export.glb import write_glb
 from pipeline.export.obj import write_obj
 from pipeline.export.picture import enlarge, write_png
-from pipeline.export.report import ReportConfig
 from pipeline.export.seam import Seam
-from pipeline.export.views import on_white, render_textured
+from pipeline.export.views import ViewConfig, on_white, render_textured
 from pipeline.files import write_json
 from pipeline.geometry.camera import CameraConfig, Pose
+from pipeline.ranges import Frames
 from pipeline.rendering.renderer import Mesh
+
+
+@dataclass(frozen=True)
+class TurntableConfig:
+    """How reconstructed objects are drawn."""
+
+    frames: Frames
+    """Renderings in one turn."""
+    view: ViewConfig
+    """Size and elevation of renderings; reconstructions are enlarged to about the same size."""
 
 
 class Found(NamedTuple):
@@ -36,7 +47,7 @@ def write_outputs(
     mesh: Mesh,
     camera: CameraConfig,
     seam: Seam,
-    report: ReportConfig,
+    turntable: TurntableConfig,
     outputs: Sequence[str],
 ) -> None:
     """Write those of the outputs that are made of what was found, each file whole or not at all.
@@ -50,15 +61,15 @@ def write_outputs(
         write_obj(target.file(".obj"), unwrapped, texture)
     if "picture" in outputs:
         picture = found.image.clamp(0, 1)
-        factor = max(1, report.view.size // picture.shape[-1])
+        factor = max(1, turntable.view.size // picture.shape[-1])
         write_png(target.file("_reconstruction.png"), enlarge(picture, factor))
     if "turntable" in outputs or "video" in outputs:
-        azimuths = [360 * frame / report.frames for frame in range(report.frames)]
-        turned = render_textured(vertices, mesh.faces, mesh.directions, texture, azimuths, camera, report.view)
+        azimuths = [360 * frame / turntable.frames for frame in range(turntable.frames)]
+        turned = render_textured(vertices, mesh.faces, mesh.directions, texture, azimuths, camera, turntable.view)
         turn = on_white(turned)
         for output, write in (("turntable", write_gif), ("video", write_mp4)):
             if output in outputs:
-                write(target.file(*FILES[output]), turn, 2400 // report.frames)
+                write(target.file(*FILES[output]), turn, 2400 // turntable.frames)
     if "pose" in outputs:
         write_json(target.file("_pose.json"), _describe(found.pose, camera))
 

@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from pipeline.cli.finishing import Picture, Reading, Writing, writing
 from pipeline.cli.gallery import write_gallery
-from pipeline.cli.outputs import Found
+from pipeline.cli.outputs import Found, TurntableConfig
 from pipeline.cli.photographs import RECORD, Target, Task, find_targets
 from pipeline.cli.runs import Run
 from pipeline.cli.workers import workers
@@ -27,7 +27,6 @@ from pipeline.device import resolve_precision
 from pipeline.errors import DataError
 from pipeline.export.animation import encoder
 from pipeline.export.painting import PaintingConfig
-from pipeline.export.report import ReportConfig
 from pipeline.files import alone, read_json, sha256, write_json
 from pipeline.geometry.camera import Pose, pose_from_tensor
 from pipeline.networks.feature_extractor import FeatureExtractor, extract, load_feature_extractor
@@ -56,7 +55,7 @@ class Settings(NamedTuple):
     fine_tune: FineTuneConfig
     paint: PaintingConfig
     fit: Fit
-    report: ReportConfig
+    turntable: TurntableConfig
 
 
 class Outcome(NamedTuple):
@@ -85,7 +84,7 @@ def reconstruct(
     extractor = load_feature_extractor(run.features, device, resolve_precision(scalar(run.params, "precision"), device))
     way = _way(run, settings, steps)
     read = Reading(model.config.renderer.size, settings.fit)
-    write = writing(model, read, outputs, settings.report, settings.paint if steps.paint else None)
+    write = writing(model, read, outputs, settings.turntable, settings.paint if steps.paint else None)
 
     def find(images: UInt8[Tensor, "B 3 H W"]) -> list[Found]:
         write_json(out / RECORD, way)
@@ -133,16 +132,15 @@ def _load_settings(run: Run) -> Settings:
         replace(load(run.params, FineTuneConfig, ["fine_tune", f"sizes.{run.size}.fine_tune"]), photographs=None),
         load(run.params, PaintingConfig, ["paint"]),
         load_prepare(run.params, run.dataset).fit,
-        load(run.params, ReportConfig, ["report"]),
+        load(run.params, TurntableConfig, ["turntable"]),
     )
 
 
 def _way(run: Run, settings: Settings, steps: Steps) -> dict[str, str | bool]:
     """Say how reconstructions are made, so that a folder holds those of one way alone."""
-    report = settings.report
     tuning = replace(settings.fine_tune, batch_size=1)  # which changes what comes out by rounding alone
     chosen = [*([tuning] if steps.fine_tune else []), *([settings.paint] if steps.paint else [])]
-    text = repr([settings.fit, report.frames, report.view, sha256(run.features), *chosen])
+    text = repr([settings.fit, settings.turntable, sha256(run.features), *chosen])
     return {"model": sha256(run.model), **steps._asdict(), "settings": hashlib.sha256(text.encode()).hexdigest()}
 
 

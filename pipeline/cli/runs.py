@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.config import entries, nearest, scalar
+from pipeline.config import entries, scalar
 from pipeline.errors import ConfigError, DataError
+from pipeline.naming import did_you_mean
 
 
 @dataclass(frozen=True)
@@ -58,7 +59,7 @@ def find_run(project: Path, name: str | None) -> Run:
         raise ConfigError(f"{params} has no runs; add one with `make run ROW=...`")
     name = name if name is not None else next(iter(runs))
     if name not in runs:
-        raise ConfigError(f"{params} has no run '{name}'{nearest(name, runs)}; `make run ROW=...` turns one on")
+        raise ConfigError(f"{params} has no run '{name}'{did_you_mean(name, runs)}; `make run ROW=...` turns one on")
     size, dataset, features = (scalar(params, f"runs.{name}.{key}") for key in ("size", "dataset", "features"))
     return Run(project, name, size, dataset, features)
 

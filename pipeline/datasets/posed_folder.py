@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
 from pipeline.datasets.archives import is_hidden, read_files
-from pipeline.datasets.prepared import Names, Truth
+from pipeline.datasets.prepared import Names, TruthBySplit
 from pipeline.datasets.truth import Viewpoints, viewpoints_of_boxes
 from pipeline.errors import DataError
 
@@ -21,7 +21,7 @@ Angles = dict[str, tuple[float, ...]]
 """Azimuth, elevation and roll in radians, by a picture's path below the table's folder."""
 
 
-def read_viewpoints(path: Path, names: Names) -> Truth:
+def read_viewpoints(path: Path, names: Names) -> TruthBySplit:
     """Read the viewpoints of pictures from `poses.csv` above `train` and `test`.
 
     Raises DataError for a table that is missing or cannot be read, for two tables, for a picture without a row, and for

@@ -4,15 +4,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.config import entries, load, require_known, scalar
+from pipeline.config import entries, load, scalar
 from pipeline.datasets.cifar10 import Cifar10Config, read_cifar10
 from pipeline.datasets.decoding import Fit
 from pipeline.datasets.folder import FolderConfig, read_folder
 from pipeline.datasets.pascal3d import Pascal3dConfig, read_pascal3d
 from pipeline.datasets.posed_folder import read_viewpoints
-from pipeline.datasets.prepared import Truth, write_images, write_pictures
+from pipeline.datasets.prepared import TruthBySplit, write_images, write_pictures
 from pipeline.datasets.toybox.toybox import ToyboxConfig, make_toybox
 from pipeline.errors import ConfigError
+from pipeline.naming import require_known
 
 Pictures = ToyboxConfig | Cifar10Config | FolderConfig | Pascal3dConfig
 KINDS: Mapping[str, type[Pictures]] = {
@@ -62,7 +63,7 @@ def load_prepare(path: Path, name: str) -> PrepareConfig:
     return PrepareConfig(kind, Path(source), load(path, KINDS[kind], [f"prepare_data.{kind}", *own]))
 
 
-def prepare(config: PrepareConfig, folder: Path) -> Truth:
+def prepare(config: PrepareConfig, folder: Path) -> TruthBySplit:
     """Write the whole dataset's pictures to a folder and return its ground truth.
 
     Pictures of a folder or an archive are decoded and written one at a time. Raises DataError, naming file and remedy,

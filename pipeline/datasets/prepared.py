@@ -19,7 +19,7 @@ SPLITS = ("train", "test")
 
 Arrays = Mapping[str, Mapping[str, UInt8[np.ndarray, "_ H W 3"]]]
 """RGB pictures by split and category, all of one square size; both splits have the same categories."""
-Truth = Mapping[str, Mapping[str, GroundTruth | Viewpoints]]
+TruthBySplit = Mapping[str, Mapping[str, GroundTruth | Viewpoints]]
 """Ground truth of those categories that have one, by split."""
 Names = Mapping[str, Mapping[str, Sequence[str]]]
 """Names of the pictures in the order they are stored, by split and category."""
@@ -29,7 +29,7 @@ class Dataset(NamedTuple):
     """Pictures that fit in memory, and their ground truth."""
 
     images: Arrays
-    truth: Truth
+    truth: TruthBySplit
 
 
 class Picture(NamedTuple):
@@ -76,7 +76,7 @@ def write_pictures(folder: Path, pictures: Iterable[Picture]) -> Names:
     return names
 
 
-def write_truth(folder: Path, truth: Truth) -> None:
+def write_truth(folder: Path, truth: TruthBySplit) -> None:
     """Write `<split>/<category>.npz` and `index.json`, the list of categories whose truth is known, all or nothing."""
     with atomic_path(folder) as temporary:
         temporary.mkdir()

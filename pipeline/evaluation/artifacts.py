@@ -17,11 +17,11 @@ from pipeline.networks.pose_coordinates import Framing
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 from pipeline.tensor_files import load_tensors
 
-STAGES = ("predicted", "tuned")
+STATES = ("predicted", "tuned")
 
 
 class Snapshot(NamedTuple):
-    """The test pictures as the model explains them, at one moment."""
+    """The test pictures as the model explains them, in one state."""
 
     pose: Pose
     """Camera pose in the learned frame."""
@@ -46,9 +46,9 @@ class Reconstructions(NamedTuple):
     test_index: Int[Tensor, " B"]
     """Position of each picture in the test split."""
 
-    def at(self, stage: str) -> Snapshot:
-        """Return what one of `STAGES` left."""
-        return {"predicted": self.predicted, "tuned": self.tuned}[stage]
+    def at(self, state: str) -> Snapshot:
+        """Return what one of `STATES` left."""
+        return {"predicted": self.predicted, "tuned": self.tuned}[state]
 
 
 class Truth(NamedTuple):
@@ -70,12 +70,12 @@ def load_reconstructions(path: Path) -> Reconstructions:
     """Read the artifact of `fine_tune`."""
     tensors, _ = load_tensors(path)
 
-    def at(stage: str) -> Snapshot:
+    def at(state: str) -> Snapshot:
         return Snapshot(
-            pose_from_tensor(tensors[f"pose_{stage}"]),
-            tensors[f"vertices_{stage}"],
-            tensors[f"backgrounds_{stage}"].float() / 255,
-            tensors[f"images_{stage}"].float() / 255,
+            pose_from_tensor(tensors[f"pose_{state}"]),
+            tensors[f"vertices_{state}"],
+            tensors[f"backgrounds_{state}"].float() / 255,
+            tensors[f"images_{state}"].float() / 255,
         )
 
     shared = (tensors[name] for name in ("textures", "faces", "directions", "test_index"))

@@ -9,7 +9,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from pipeline.evaluation.alignment import fit_alignment, turn_pose, turn_vertices
-from pipeline.evaluation.artifacts import STAGES, Reconstructions, TrueObjects, Truth
+from pipeline.evaluation.artifacts import STATES, Reconstructions, TrueObjects, Truth
 from pipeline.evaluation.image_metrics import image_columns, image_figures
 from pipeline.evaluation.multiview import MultiviewConfig
 from pipeline.evaluation.pose_metrics import angle_columns, baseline_figures, pose_columns, pose_figures
@@ -24,7 +24,7 @@ from pipeline.ranges import Count, Natural
 from pipeline.rendering.renderer import RendererConfig
 from pipeline.seeding import generator
 
-SPLITS = {"predicted": "test", "tuned": "test_tuned"}
+SECTIONS = {"predicted": "test", "tuned": "test_tuned"}
 
 
 @dataclass(frozen=True)
@@ -83,11 +83,11 @@ def evaluate_images(
 
     Beside them stand what retrieving a training photograph by its colours reaches, and how much shapes differ.
     """
-    images = {stage: reconstructions.at(stage).images for stage in STAGES}
+    images = {state: reconstructions.at(state).images for state in STATES}
     images["retrieved"] = retrieve(photographs, training)
     columns = image_columns(photographs, images, extractor, config.batch_size)
-    table = {"test_index": reconstructions.test_index, **_flatten({stage: columns[stage] for stage in STAGES})}
-    spread = {stage: mean_figure(vertex_deviation(reconstructions.at(stage).vertices)) for stage in STAGES}
+    table = {"test_index": reconstructions.test_index, **_flatten({state: columns[state] for state in STATES})}
+    spread = {state: mean_figure(vertex_deviation(reconstructions.at(state).vertices)) for state in STATES}
     return {"reconstruction": image_figures(columns), "vertex_deviation": spread}, table
 
 
@@ -112,12 +112,12 @@ def evaluate_truth(
     `training` is the whole training split: what is typical of it does not depend on which pictures the run visited. The
     learned frame is first turned about +y by the angle that suits the recorded poses of those that it did visit best.
     """
-    predicted = {stage: learned.reconstructions.at(stage).pose for stage in STAGES}
-    by_split = {SPLITS[stage]: pose for stage, pose in predicted.items()}
-    estimates = PoseEstimates(learned.training_pose, learned.training_index, by_split)
+    predicted = {state: learned.reconstructions.at(state).pose for state in STATES}
+    by_section = {SECTIONS[state]: pose for state, pose in predicted.items()}
+    estimates = PoseEstimates(learned.training_pose, learned.training_index, by_section)
     angle, figures = measure_poses(training.pose, test.pose, estimates, config)
     truth = {f"truth_{name}": degrees for name, degrees in angle_columns(test.pose).items()}
-    columns = {stage: pose_columns(test.pose, turn_pose(pose, angle)) for stage, pose in predicted.items()}
+    columns = {state: pose_columns(test.pose, turn_pose(pose, angle)) for state, pose in predicted.items()}
     table = {**truth, **_flatten(columns)}
     if training.objects is not None and test.objects is not None:
         figures["shape"], shape_table = _evaluate_shape(learned, training.objects, test.objects, angle, config)
@@ -151,15 +151,15 @@ def _evaluate_shape(
     shapes = TrueShapes(test, training, config.shape, rng)
     columns: dict[str, Columns] = {}
     figures: dict[str, Any] = {}
-    for stage, split in SPLITS.items():
-        reconstruction = learned.reconstructions.at(stage)
+    for state, section in SECTIONS.items():
+        reconstruction = learned.reconstructions.at(state)
         vertices = turn_vertices(reconstruction.vertices, angle)
-        columns[stage] = shapes.columns(vertices, [learned.reconstructions.faces], rng)
+        columns[state] = shapes.columns(vertices, [learned.reconstructions.faces], rng)
         masks = silhouettes(
             reconstruction, learned.reconstructions.faces, learned.reconstructions.directions, learned.renderer
         )
-        columns[stage]["mask_iou"] = iou(masks, test.masks)
-        figures[split] = mean_figures(columns[stage]) | shapes.proportion_figures(vertices)
+        columns[state]["mask_iou"] = iou(masks, test.masks)
+        figures[section] = mean_figures(columns[state]) | shapes.proportion_figures(vertices)
     if learned.final_base is not None:  # single-stage training takes none
         figures["base"] = shapes.base_figures(turn_vertices(learned.base, angle), learned.base_faces, rng)
         final_base = turn_vertices(learned.final_base, angle)
@@ -172,4 +172,4 @@ def _evaluate_shape(
 
 
 def _flatten(columns: Mapping[str, Columns]) -> Columns:
-    return {f"{name}_{stage}": values for stage, group in columns.items() for name, values in group.items()}
+    return {f"{name}_{state}": values for state, group in columns.items() for name, values in group.items()}

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from pipeline.evaluation.artifacts import STAGES
+from pipeline.evaluation.artifacts import STATES
 from pipeline.evaluation.image import psnr, ssim
 from pipeline.evaluation.statistics import Columns, mean_figure, mean_figures
 from pipeline.losses.image_distance import feature_distance
@@ -44,6 +44,6 @@ def pixel_columns(photographs: Float[Tensor, "B 3 H W"], images: Float[Tensor, "
 
 def image_figures(columns: Mapping[str, Columns]) -> dict[str, Any]:
     """Summarize images of each origin, and of how many pictures fine-tuning lowered the feature distance."""
-    predicted, tuned = (columns[stage]["feature_distance"] for stage in STAGES)
+    predicted, tuned = (columns[state]["feature_distance"] for state in STATES)
     means = {origin: mean_figures(group) for origin, group in columns.items()}
     return {**means, "improved": mean_figure(tuned < predicted)}

@@ -12,12 +12,12 @@ import torch
 from jaxtyping import Bool, Float, Int, UInt8
 from torch import Tensor
 
-from pipeline.config import nearest
 from pipeline.datasets.archives import DAMAGE, LARGEST
 from pipeline.errors import DataError, MeshError
 from pipeline.evaluation.evaluate import PoseEstimates
 from pipeline.geometry.camera import Pose
 from pipeline.geometry.closed_mesh import enclosed_volume, is_closed
+from pipeline.naming import did_you_mean
 
 SPLIT = "test"
 """The section of the metrics in which poses of test pictures are measured."""
@@ -118,7 +118,7 @@ def _names(path: Path, archive: zipfile.ZipFile) -> list[str]:
         raise DataError(f"{path} is empty; expected some of the arrays {', '.join(FORMS)}")
     for name, size in members.items():
         if name not in FORMS:
-            raise DataError(f"{path} has an unknown array '{name}'{nearest(name, FORMS)}")
+            raise DataError(f"{path} has an unknown array '{name}'{did_you_mean(name, FORMS)}")
         if size > LARGEST:
             raise DataError(f"{path}: '{name}' is larger than a gibibyte; write it as float32, or with fewer vertices")
     return list(members)

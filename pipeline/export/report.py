@@ -21,7 +21,7 @@ from pipeline.export.views import ViewConfig, on_white
 from pipeline.files import atomic_path
 from pipeline.geometry.camera import CameraConfig
 from pipeline.networks.pose_coordinates import Framing
-from pipeline.ranges import Count, Frames, Natural
+from pipeline.ranges import Count, Natural
 from pipeline.seeding import generator
 
 
@@ -35,8 +35,6 @@ class ReportConfig:
     """Random pictures shown, and as many of the best."""
     stepped: Count
     """Of the random pictures, how many are shown in 50-degree steps."""
-    frames: Frames
-    """Renderings in one turn of a turntable, which `kato3d reconstruct` writes."""
     other_view: float
     """Turn in degrees from the estimated view to the other view of an example."""
     view: ViewConfig

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from pipeline.evaluation.artifacts import STAGES, Reconstructions, render_tuned
+from pipeline.evaluation.artifacts import STATES, Reconstructions, render_tuned
 from pipeline.export.picture import data_uri, strip
 from pipeline.export.report_page import Section, card, four, grid, image
 from pipeline.export.seam import Seam, cut_open
@@ -132,15 +132,15 @@ def example_section(
 
 def example_figures(table: Mapping[str, list[str]], position: int) -> str:
     """Say a picture's feature distance and, where it is known, its pose's error, before and after fine-tuning."""
-    distances = [f"{float(table[f'feature_distance_{stage}'][position]):.1f}" for stage in STAGES]
+    distances = [f"{float(table[f'feature_distance_{state}'][position]):.1f}" for state in STATES]
     figures = f"distance {' → '.join(distances)}"
     if "rotation_error_predicted" in table:
-        figures += f" · {' → '.join(_pose_error(table, position, stage) for stage in STAGES)}"
+        figures += f" · {' → '.join(_pose_error(table, position, state) for state in STATES)}"
     return figures
 
 
-def _pose_error(table: Mapping[str, list[str]], position: int, stage: str) -> str:
-    error, mode = float(table[f"rotation_error_{stage}"][position]), table[f"error_mode_{stage}"][position]
+def _pose_error(table: Mapping[str, list[str]], position: int, state: str) -> str:
+    error, mode = float(table[f"rotation_error_{state}"][position]), table[f"error_mode_{state}"][position]
     return f"{error:.0f}° off ({mode.replace('_', ' for ')})"
 
 

@@ -13,7 +13,7 @@ from pipeline.geometry.meshlab import isotropic_remeshing
 from pipeline.geometry.sphere_map import SphereMapConfig, map_to_sphere, solid_angles
 from pipeline.geometry.symmetry import is_symmetric, mirror_index
 from pipeline.geometry.topology import euler_characteristic, polygon_areas
-from pipeline.ranges import Count, Positive, Slant
+from pipeline.ranges import Angle, Count, Positive
 
 SMALLEST_AREA = 1e-4
 """Share of the squared diagonal below which there is no surface to speak of; a sphere has about 1."""
@@ -40,7 +40,7 @@ class IsotropicConfig:
     """Trials of the edge length; the one nearest to the target is kept."""
     iterations: Count
     """Rounds of splitting, collapsing, flipping, relaxing and projecting back."""
-    feature_angle: Slant
+    feature_angle: Angle
     """Edges bent more than this are kept, in degrees: tips of limbs would wear off otherwise."""
     surface_tolerance: Positive
     """Largest deviation that a step may cause, in percent of the bounding box's diagonal."""

@@ -1,6 +1,7 @@
 """The full model: from a photograph to shape, pose, texture and background (paper section 3.2)."""
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -18,7 +19,7 @@ from pipeline.networks.pose_decoder import PoseDecoder, PoseRegression
 from pipeline.networks.shapes import FreeFormShapes, OffsetShapes, ShapeConfig, ShapeDecoder
 from pipeline.ranges import Count, Rim, TextureSize
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
-from pipeline.tensor_files import load_tensors, load_weights
+from pipeline.tensor_files import load_tensors, load_weights, save_tensors
 
 
 @dataclass(frozen=True)
@@ -124,14 +125,19 @@ class FullModel(nn.Module):
         """
         vertices = self.shapes(self.read_shapes(images, features))
         pose = self.poses(self.read_poses(images), vertices)
-        texture_maps = self.texture_decoder(self.texture_encoder(images))
-        backgrounds = self.background_decoder(self.background_encoder(images))
-        return Reconstruction(vertices, texture_maps, pose, backgrounds)
+        return Reconstruction(vertices, self.read_textures(images), pose, self.read_backgrounds(images))
 
     def read_shapes(self, images: Float[Tensor, "B 3 H W"], features: Features) -> Float[Tensor, "B K"]:
         """Return the shape parameters it reads off photographs in [0, 1] or off their features."""
-        seen = features if isinstance(self.shape_encoder, FeatureEncoder) else images
-        return self.shape_decoder(self.shape_encoder(seen))
+        return self.shape_decoder(self.shape_encoder(features if self.config.shapes_from == "features" else images))
+
+    def read_textures(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 T T"]:
+        """Return the texture maps it reads off photographs in [0, 1]."""
+        return self.texture_decoder(self.texture_encoder(images))
+
+    def read_backgrounds(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 3 H W"]:
+        """Return the backgrounds it reads off photographs in [0, 1]."""
+        return self.background_decoder(self.background_encoder(images))
 
     @torch.no_grad()
     def read_poses(self, images: Float[Tensor, "B 3 H W"]) -> Float[Tensor, "B 7"]:
@@ -152,19 +158,20 @@ class FullModel(nn.Module):
         return render(mesh, texture_maps, pose, backgrounds, None, self.config.renderer).images
 
 
-def full_model_texts(model: FullModel) -> dict[str, str]:
-    """Return what has to stand beside the weights in a file to rebuild the model from it."""
-    return {"config": json.dumps(asdict(model.config), sort_keys=True)}
+def save_full_model(path: Path, model: FullModel, others: Mapping[str, Tensor]) -> None:
+    """Save a model, with other tensors beside its weights."""
+    save_tensors(path, {**model.state_dict(), **others}, {"config": json.dumps(asdict(model.config), sort_keys=True)})
 
 
 def load_full_model(path: Path, device: torch.device) -> FullModel:
-    """Load a model that `train_full` saved, in evaluation mode and in float32.
+    """Load a model that `save_full_model` saved, in evaluation mode and in float32.
 
     Raises DataError where its weights are not those of this code's networks.
     """
-    tensors, texts = load_tensors(path)
-    config = from_json(texts["config"], FullModelConfig, path)
+    tensors, metadata = load_tensors(path)
+    config = from_json(metadata["config"], FullModelConfig, path)
     base = Mesh(tensors["base_vertices"][None], tensors["faces"], tensors["directions"])
-    model = FullModel(config, base, torch.float32, tensors["shape_encoder.project.weight"].shape[1] // POSITIONS)
+    channels = tensors["shape_encoder.project.weight"].shape[1] // POSITIONS  # of feature maps, where shapes read them
+    model = FullModel(config, base, torch.float32, channels)
     load_weights(model, tensors, path)
     return model.to(device).eval()

@@ -94,7 +94,7 @@ class ImageGenerator(nn.Module):
         self.start = nn.Linear(latent_size, widths[0] * 16)
         self.blocks = nn.Sequential(*(ResidualUpsample(*sizes, padding) for sizes in pairwise(widths)))
         self.output = nn.Sequential(BatchNorm2d(widths[-1]), nn.ReLU(), padding, nn.Conv2d(widths[-1], out_channels, 3))
-        _spread(self)
+        _initialise(self)
 
     def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B C T T"]:
         """Return unnormalised channel values."""
@@ -127,7 +127,7 @@ class PaletteTextureGenerator(nn.Module):
         self.palette = nn.Sequential(
             nn.Linear(latent_size, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, colors * 3)
         )
-        _spread(self.palette)
+        _initialise(self.palette)
 
     def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B 3 T T"]:
         """Return texture maps in [0, 1]."""
@@ -167,7 +167,7 @@ class StripesGenerator(nn.Module):
             LinearUpsample(size),
             nn.Conv1d(hidden_size, 3, 3, padding=1, padding_mode="replicate"),
         )
-        _spread(self)
+        _initialise(self)
 
     def forward(self, latent: Float[Tensor, "B K"]) -> Float[Tensor, "B 3 H W"]:
         """Return images in [0, 1] that are constant along every row."""
@@ -187,7 +187,7 @@ class ImageBackgroundGenerator(nn.Module):
         return torch.sigmoid(self.image(latent))
 
 
-def _spread(network: nn.Module) -> None:
+def _initialise(network: nn.Module) -> None:
     """Initialise for outputs of unit order; PyTorch's default makes a tenth of that, every picture the same grey."""
     for module in network.modules():
         if isinstance(module, nn.Linear | nn.Conv1d | nn.Conv2d):

@@ -142,8 +142,8 @@ def save_hologan(path: Path, network: HoloGenerator) -> None:
 
 def load_hologan(path: Path, device: torch.device) -> HoloGenerator:
     """Load the generator that `save_hologan` wrote, in evaluation mode."""
-    tensors, texts = load_tensors(path)
-    network = HoloGenerator(from_json(texts["config"], HoloGANConfig, path))
+    tensors, metadata = load_tensors(path)
+    network = HoloGenerator(from_json(metadata["config"], HoloGANConfig, path))
     load_weights(network, tensors, path)
     return network.to(device).eval()
 

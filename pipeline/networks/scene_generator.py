@@ -130,7 +130,7 @@ def scene_tensors(generators: Sequence[SceneGenerator]) -> dict[str, Tensor]:
     return {name: torch.stack([state[name] for state in states]) for name in states[0]}
 
 
-def scene_texts(generator: SceneGenerator) -> dict[str, str]:
+def scene_metadata(generator: SceneGenerator) -> dict[str, str]:
     """Return what has to stand beside the weights in a file to build the generators again."""
     return {"scene": json.dumps(asdict(generator.config), sort_keys=True)}
 
@@ -141,8 +141,8 @@ def load_scenes(path: Path, mesh: Path, image_size: int, device: torch.device) -
     Backgrounds are scaled to `image_size` pixels, for base shapes may have been learned from pictures of another size.
     Raises DataError where it was written by other code.
     """
-    tensors, texts = load_tensors(path)
-    config = from_json(texts["scene"], SceneConfig, path)
+    tensors, metadata = load_tensors(path)
+    config = from_json(metadata["scene"], SceneConfig, path)
     chosen = load_seed(mesh)
     order = sorted(range(len(tensors["seed_scores"])), key=lambda seed: seed != chosen)
     generators = [_build(config, tensors, seed, path).to(device).eval() for seed in order]

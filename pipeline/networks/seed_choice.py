@@ -31,5 +31,5 @@ def choose_seed(choice: str, scores: Sequence[float], name: str) -> int:
 
 def load_seed(path: Path) -> int:
     """Return which seed's base shape the stage `remesh` wrote."""
-    _, texts = load_tensors(path)
-    return int(texts["seed"])
+    _, metadata = load_tensors(path)
+    return int(metadata["seed"])

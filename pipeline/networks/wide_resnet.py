@@ -63,9 +63,9 @@ class WideResNet(nn.Module):
         )
         self.normalization = BatchNorm2d(channels[3])
         self.classifier = nn.Linear(channels[3], classes)
-        self._initialize()
+        self._initialise()
 
-    def _initialize(self) -> None:
+    def _initialise(self) -> None:
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
                 nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu")

@@ -5,14 +5,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from pipeline.config import entries, is_plain, names, require_known, scalar
+from pipeline.config import entries, names, scalar
 from pipeline.errors import ConfigError
+from pipeline.naming import is_plain, require_known
 
 _TOP = ("device", "precision", "memory", "processes", "weights", "datasets")
 """Names at the top of the file, besides those of entries and of stages."""
 _SETTINGS = (
     *("prepare_data", "train_features", "learn_base_shape", "evaluate_base_shape", "remesh", "train_full", "fine_tune"),
-    *("evaluate", "report", "paint", "train_hologan", "evaluate_colmap"),
+    *("evaluate", "report", "turntable", "paint", "train_hologan", "evaluate_colmap"),
 )
 """Sections of stages' settings, and of painting's."""
 SHARED = ("train_features", "learn_base_shape", "train_full")

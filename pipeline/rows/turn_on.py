@@ -3,51 +3,26 @@
 import re
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from ruamel.yaml.comments import CommentedMap
 
-from pipeline.config import entries, is_plain, load, require_known, scalar
+from pipeline.config import entries, load, scalar
 from pipeline.datasets.prepare import KINDS, load_prepare
 from pipeline.datasets.survey import survey
 from pipeline.errors import ConfigError
 from pipeline.files import atomic_path
+from pipeline.naming import is_plain, require_known
 from pipeline.networks.pose_coordinates import Framing
 from pipeline.networks.seed_choice import BY_SCORE
-from pipeline.rows.entries import NAMES, require_chosen, require_whole_entries, settings_of
+from pipeline.rows.datasets import EMBEDDED, require_category, turn_on_dataset
+from pipeline.rows.entries import NAMES, require_chosen, require_whole_entries
+from pipeline.rows.options import BASELINES, Options
 from pipeline.rows.params_file import put, round_trip_yaml
-from pipeline.rows.photographs import EMBEDDED, require_category, turn_on_dataset
-from pipeline.training.base_shape import BaseShapeConfig
+from pipeline.rows.requirements import pictures, require_base_shape, require_change, require_parts_of_baseline
 from pipeline.training.features import FeaturesConfig
-from pipeline.training.full_trainer import FullTrainingConfig
-from pipeline.training.hologan import HoloGANTrainingConfig
 
-BASELINES = ("hologan", "colmap")
 SWITCHES = ("datasets", "features", "base_shapes", "runs", *BASELINES)
-
-
-class Options(NamedTuple):
-    """What is to be run."""
-
-    row: str
-    """An entry of `rows`."""
-    size: str = "laptop"
-    """An entry of `sizes`."""
-    ablation: str = "none"
-    """An entry of `ablations`."""
-    seed: int = 0
-    source: Path | None = None
-    """Folder or archive of the photographs; None where they are on."""
-    features: Path | None = None
-    """Weights of the network that compares pictures; None for those of its size."""
-    dataset: str | None = None
-    """A name for the photographs; None for the row's."""
-    category: str | None = None
-    """The one among them; None for the row's."""
-    base_shape: str | None = None
-    """An entry of `base_shapes` to train around; None for one that is learned from the same photographs."""
-    baseline: str | None = None
-    """What is measured on the photographs instead."""
 
 
 def turn_on(path: Path, options: Options) -> str:
@@ -73,10 +48,10 @@ def turn_on(path: Path, options: Options) -> str:
         document[section] = document[section] or CommentedMap()  # after the only entry was removed
     if options.seed < 0:
         raise ConfigError(f"SEED is {options.seed}; expected 0 or a greater number")
-    _require_more(path, document, options)
-    _require_base_shape(path, document, options)
-    size, framing = _pictures(path, options)
-    _require_parts_of_baseline(path, options, size)
+    require_change(path, document, options)
+    require_base_shape(path, document, options)
+    size, framing = pictures(path, options)
+    require_parts_of_baseline(path, options, size)
     dataset, category = _turn_on_photographs(document, options, size, framing)
     if "features" in NAMES[options.baseline or "runs"]:
         _turn_on_features(path, document, dataset, options)
@@ -100,10 +75,6 @@ def _require_whole_datasets(path: Path) -> None:
         load(path, config, [f"prepare_data.{kind}"])
     for name in entries(path, "datasets"):
         load_prepare(path, name)
-
-
-def _settings(stage: str, options: Options) -> list[str]:
-    return settings_of(stage, options.row, options.size, options.ablation)
 
 
 def _turn_on_photographs(document: CommentedMap, options: Options, size: int, framing: Framing) -> tuple[str, str]:
@@ -140,7 +111,7 @@ def _given_weights(path: Path, weights: Path, options: Options) -> str:
     if not re.fullmatch(r"[\w./~+-]+", found):
         raise ConfigError(f"FEATURES={found!r} becomes part of a command; give a path without spaces and quotes")
     _existing("FEATURES", weights)
-    method = load(path, FeaturesConfig, _settings("train_features", options)).method
+    method = load(path, FeaturesConfig, options.sections("train_features")).method
     if method not in ("pretrained", "transfer"):
         raise ConfigError(f"size '{options.size}' learns its features by {method}; leave FEATURES= out")
     if method == "transfer" and not found.endswith(".safetensors"):
@@ -172,7 +143,7 @@ def _turn_on_baseline(document: CommentedMap, subject: str, entry: Mapping[str, 
 
 def _turn_on_run(document: CommentedMap, subject: str, entry: dict[str, Any], options: Options) -> str:
     """Add the run, and its base shape where no other run has it; return the run's name."""
-    base_shape = entry | {"ablation": _of_base_shape(document, options)}
+    base_shape = entry | {"ablation": options.base_shape_ablation(document)}
     own_base_shape = _name(subject, base_shape)
     if options.base_shape not in (None, own_base_shape):
         name = f"{_name(subject, entry)}-around-{options.base_shape}"
@@ -192,11 +163,6 @@ def _put_same(
     put(document, section, name, known)
 
 
-def _of_base_shape(document: CommentedMap, options: Options) -> str:
-    """Return the ablation with which a run's base shape is learned."""
-    return options.ablation if document["ablations"][options.ablation]["learn_base_shape"] else "none"
-
-
 def _features_name(dataset: str, options: Options) -> str:
     return f"{dataset}-{options.size}"
 
@@ -214,84 +180,6 @@ def _require_same(entry: Mapping[str, Any], wanted: Mapping[str, Any], key: str)
                 f"{key} is on with {name} {entry.get(name)}, not {value}; name the same photographs differently with "
                 f"DATASET= and SOURCE=, or remove {key} from params.yaml"
             )
-
-
-def _require_more(path: Path, document: CommentedMap, options: Options) -> None:
-    """Refuse an ablation that changes nothing, or with iterations or pictures that those of a larger size exceed."""
-    usual, changed = (_full_training(path, given) for given in (options._replace(ablation="none"), options))
-    if (
-        options.ablation != "none"
-        and changed == usual
-        and not document["ablations"][options.ablation]["learn_base_shape"]
-    ):
-        raise ConfigError(
-            f"ablation '{options.ablation}' changes nothing of row '{options.row}' at size '{options.size}'; leave "
-            "ABLATION= out"
-        )
-    for of_size, of_ablation, what in (
-        (usual.iterations, changed.iterations, "iterations"),
-        (usual.model.renderer.size, changed.model.renderer.size, "pixels a side"),
-    ):
-        if of_ablation < of_size:
-            raise ConfigError(
-                f"ablation '{options.ablation}' trains for {of_ablation} {what}, fewer than the {of_size} of size "
-                f"'{options.size}'; leave one of the two out"
-            )
-
-
-def _full_training(path: Path, options: Options) -> FullTrainingConfig:
-    return load(path, FullTrainingConfig, _settings("train_full", options))
-
-
-def _pictures(path: Path, options: Options) -> tuple[int, Framing]:
-    """Return the size of a run's pictures, at which every part of it can work, and how objects are framed in them."""
-    base = load(path, BaseShapeConfig, _settings("learn_base_shape", options))
-    size = _full_training(path, options).model.renderer.size
-    if size % base.renderer.size and options.base_shape is None and options.baseline is None:
-        raise ConfigError(
-            f"full training compares {size} px, no multiple of the {base.renderer.size} px that base shapes are "
-            "learned from; change one of the two `renderer.size`, or name a BASE_SHAPE="
-        )
-    return size, base.framing
-
-
-def _require_base_shape(path: Path, document: CommentedMap, options: Options) -> None:
-    """Refuse a base shape that no run has turned on, and one that was learned with other constraints than the run's."""
-    if options.base_shape is None:
-        return
-    require_known(options.base_shape, document["base_shapes"], f"{path}: base_shapes has no")
-    if not _full_training(path, options).model.two_stage:
-        raise ConfigError(f"ablation '{options.ablation}' trains without a base shape; leave BASE_SHAPE= out")
-    theirs = document["base_shapes"][options.base_shape]["ablation"]
-    if theirs != (ours := _of_base_shape(document, options)):
-        raise ConfigError(
-            f"the base shape '{options.base_shape}' was learned with ablation '{theirs}', but this run's are learned "
-            f"with '{ours}'; name another with BASE_SHAPE=, or another ABLATION="
-        )
-
-
-def _require_parts_of_baseline(path: Path, options: Options, picture_size: int) -> None:
-    """Refuse what a baseline has no part of: a base shape, and ablations that leave the pictures' size as it is."""
-    if options.baseline is None:
-        return
-    if options.base_shape is not None:
-        raise ConfigError(f"{options.baseline} has no base shape; leave BASE_SHAPE= out")
-    usual = _full_training(path, options._replace(ablation="none")).model.renderer.size
-    if options.ablation != "none" and usual == picture_size:
-        raise ConfigError(f"{options.baseline} has nothing that '{options.ablation}' changes; leave ABLATION= out")
-    if options.baseline == "hologan":
-        _require_that_hologan_draws(path, options, picture_size)
-
-
-def _require_that_hologan_draws(path: Path, options: Options, picture_size: int) -> None:
-    """Refuse a size whose pictures are larger than those that HoloGAN draws at it."""
-    settings = load(path, HoloGANTrainingConfig, _settings("train_hologan", options))
-    drawn = settings.network.image_size
-    if drawn != picture_size:
-        raise ConfigError(
-            f"HoloGAN draws {drawn} px at size '{options.size}', but this run's pictures have {picture_size} px; "
-            "choose another SIZE=, or leave ABLATION= out"
-        )
 
 
 def _existing(option: str, path: Path) -> Path:

@@ -1,7 +1,6 @@
 """Learning a category's base shape by matching distributions of renderings and photographs (paper 3.1)."""
 
 import gc
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -195,36 +194,36 @@ class SeedTrainer:
 
 
 def learn_base_shape(
-    config: BaseShapeConfig, photographs: Photographs, seed: int, checkpoints: Sequence[Checkpoint]
+    config: BaseShapeConfig, photographs: Photographs, seed: int, checkpoint: Checkpoint
 ) -> BaseShapes:
     """Learn one base shape a seed and pick the one whose renderings are closest to the photographs.
 
     Processes divide the seeds, each working alone, so that their number changes no shape as long as each has as many
-    threads; a single seed's batches are shared. Each seed has its own restart state, one of `checkpoints`; a killed
-    call that is repeated returns the same bytes. Raises DataError for a single photograph.
+    threads; a single seed's batches are shared. Each seed has its own part of the restart state; a killed call that is
+    repeated returns the same bytes. Raises DataError for a single photograph.
     """
     if len(photographs.images) < 2:
         raise DataError("base shapes are learned from what photographs have in common, but there is only one; add more")
     sphere = build_sphere(config.subdivisions, photographs.images.device)
     schedule = Schedule(config.iterations, config.curve_every, config.checkpoint_every)
 
-    # So many seeds that some process would wait for the last ones are trained part by part: the next part of a seed is
-    # taken by another process, which goes on from its restart state.
+    # So many seeds that some process would wait for the last ones are trained in stretches: the next stretch of a seed
+    # is taken by another process, which goes on from its restart state.
     size = world().size
-    parts = size if config.seeds > size and config.seeds % size else 1
+    stretches = size if config.seeds > size and config.seeds % size else 1
 
     def learn(number: int) -> Learned | None:
         gc.collect()  # a recorded step refers to its trainer, and keeps a GPU's memory as long
-        part, index = divmod(number, config.seeds)
+        stretch, index = divmod(number, config.seeds)
         trainer = SeedTrainer(config, sphere, photographs, seed, index)
-        until = config.iterations * (part + 1) // parts
-        curve = run_training(trainer, schedule, f"base shape {index}", checkpoints[index], until=until)
-        if part + 1 < parts:
+        until = config.iterations * (stretch + 1) // stretches
+        curve = run_training(trainer, schedule, f"base shape {index}", checkpoint.part(str(index)), until=until)
+        if stretch + 1 < stretches:
             return None
         rows = [{"seed": index, **row} for row in curve.rows]
         return Learned(trainer.shape().cpu(), trainer.score(), trainer.scene.cpu(), rows)
 
-    return _gather(sphere, [one for one in divide(learn, config.seeds * parts) if one is not None])
+    return _gather(sphere, [one for one in divide(learn, config.seeds * stretches) if one is not None])
 
 
 def _gather(sphere: Sphere, learned: list[Learned]) -> BaseShapes:

@@ -17,7 +17,7 @@ from pipeline.distributed import share, whole
 from pipeline.errors import ConfigError
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.pose_decoder import PoseRegression
-from pipeline.ranges import Natural, NonNegative, Positive, Range, Slant
+from pipeline.ranges import Angle, Natural, NonNegative, Positive, Range
 
 Flips = Annotated[int, Range(0, 3)]
 """How many flipped views of a pose are looked at: the far side, left and right swapped, front and rear swapped."""
@@ -77,7 +77,7 @@ class ExplorationConfig:
     """None searches for no shapes: the estimated one is the best, and always learns."""
     pose_step: tuple[Positive, Positive]
     """Smallest and largest standard deviation of a perturbation, in pose coordinates; drawn log-uniformly."""
-    azimuth_reach: Slant
+    azimuth_reach: Angle
     """Largest angle, in degrees, between the azimuths of a winner and of the record; 180 admits all."""
 
     def __post_init__(self) -> None:

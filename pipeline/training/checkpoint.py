@@ -3,7 +3,6 @@
 import fcntl
 import hashlib
 import json
-import math
 import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -12,13 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from jaxtyping import Float
 from torch import Tensor, nn
 from torch.optim import Optimizer
 from tqdm import tqdm
 
 from pipeline.distributed import from_first, is_first, leads
-from pipeline.errors import DataError, TrainingDiverged
+from pipeline.errors import DataError
 from pipeline.files import sha256
 from pipeline.tensor_files import load_tensors, save_tensors
 
@@ -61,16 +59,16 @@ class Checkpoint:
         if not self._path.exists():
             return None
         try:
-            tensors, texts = load_tensors(self._path)
+            tensors, metadata = load_tensors(self._path)
         except DataError:
             raise DataError(f"the restart state {self._path} is damaged; remove it to train anew") from None
-        if texts["key"] != self._key:
+        if metadata["key"] != self._key:
             tqdm.write(
                 f"{self._path} is left out: it is of other code, settings or inputs, and training starts anew",
                 file=sys.stderr,
             )
             return None
-        return tensors, json.loads(texts["values"])
+        return tensors, json.loads(metadata["values"])
 
 
 @contextmanager
@@ -135,32 +133,6 @@ def unpack(tensors: Mapping[str, Tensor], **parts: Part) -> None:
         else:
             with torch.no_grad():
                 part.copy_(tensors[name])
-
-
-def read_losses(rows: Sequence[Mapping[str, Float[Tensor, ""]]], iteration: int, phase: str) -> list[dict[str, float]]:
-    """Bring the losses of consecutive iterations, the last of which is `iteration`, to the host in one copy.
-
-    The host waits for a GPU then, so let some iterations pass, but read before the next checkpoint: raises
-    TrainingDiverged, naming the phase of the training, where a loss is not finite.
-    """
-    table = torch.stack([torch.stack([*row.values()]) for row in rows]).tolist() if rows else []
-    for number, values in enumerate(table, iteration + 1 - len(table)):
-        if not all(map(math.isfinite, values)):
-            raise TrainingDiverged(
-                f"the loss of {phase} became {next(value for value in values if not math.isfinite(value))} at "
-                f"iteration {number}; what was saved before it is kept: lower the learning rate or look at the inputs"
-            )
-    return [dict(zip(row, values, strict=True)) for row, values in zip(rows, table, strict=True)]
-
-
-def require_finite(state: Mapping[str, Tensor], iteration: int, phase: str) -> None:
-    """Raise TrainingDiverged where packed state is not finite: a finite loss may have had a gradient that was not."""
-    for name, tensor in state.items():
-        if tensor.is_floating_point() and not tensor.isfinite().all():
-            raise TrainingDiverged(
-                f"{name} is no longer finite after iteration {iteration} of {phase}; what was saved before it is "
-                "kept: lower the learning rate or look at the inputs"
-            )
 
 
 def _state(name: str, part: Part) -> dict[str, Tensor]:

@@ -1,35 +1,38 @@
 """Tell the ends of mirror-symmetric objects apart, from what full training has recorded (ours).
 
-The records hold axes and boxes, but which end of its axis a photograph shows is nearly chance: renderings tell
-builds apart, not ends (a van's ends are both steep, a saloon's both low). What changes sign in the mirror knows nothing
-of build and paint. At the sides it varies most with the way objects face, once all that goes with the slant of their
-axes is taken off, and this splits them in two. The rest depends on how they were photographed:
+Records hold axes and boxes, but which end of its axis a photograph shows is nearly chance: renderings tell builds
+apart, not ends (both ends of a van are steep, both of a saloon are low). What changes its sign in the mirror knows
+nothing of build and paint:
 
-- Both ends equally often. Then slants say nothing of the way objects face, and the split spreads from the sides to ever
-  more oblique views.
-- Mostly one end, as people show the fronts of cars. Then the ends that records tell at oblique views are builds, and
-  to take all of them for the preferred end is right more often. Which half of the sides faces which way say the records
-  of sides: at oblique views the nearer end looks taller, and that is what the taller end of a shape explains as well.
-  Which end is preferred say records of views along the axis; there nearly all of them, rears too, name the shape's
-  blunter end, so this is right for objects whose front is blunter.
+1. Photographs are cut to their boxes, turned upright, and described by features that paint does not change.
+2. Recorded axes are made consistent with each other: neighbouring azimuths differ by more than the two ends do.
+3. Of the features only what changes its sign in the mirror is kept.
+4. Side views are split in two by its leading component, once all that goes with the slant of the axis is taken off.
+5. The split is carried to the other views, in one of two ways:
 
-Near-by azimuths differ by more than the two ends do, so recorded axes are made consistent with each other first.
-What all photographs show, those along the axis too, is judged by a last regression, of the azimuths that follow, on all
-features: among photographs whose ends were told by which way they face, builds are the same at both.
+   - Both ends are shown equally often. Then slants say nothing of the way objects face, and the split spreads from the
+     sides to ever more oblique views.
+   - Mostly one end is shown, as people show the fronts of cars. The ends recorded at oblique views are builds then, and
+     it is right more often to take all of them for the preferred end, the one that most views along the axis are
+     recorded with. The two halves of the side views face as most of them are recorded; oblique views cannot tell,
+     because the nearer end looks taller there, which the taller end of a shape explains as well. Records of views along
+     the axis, of rears too, nearly all name the blunter end, so this is right for objects whose front is blunter.
+
+6. A last regression from all features to the azimuths that follow judges every photograph, views along the axis too:
+   among photographs whose ends were told by the way they face, builds are the same at both.
 """
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Literal, NamedTuple
 
 import torch
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 from torch.nn import functional
 from tqdm import tqdm
 
 from pipeline.distributed import agree, is_first
-from pipeline.errors import ConfigError
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.pose_coordinates import PoseCoordinates
 from pipeline.ranges import Count, NonNegative, Positive, Range, Several
@@ -56,7 +59,8 @@ class EndsConfig:
     shown: Literal["equally", "mostly_one"]
     """How often photographs show one end and the other."""
     after: tuple[Annotated[float, Range(0, 1, open_low=True)], ...]
-    """Parts of full training's iterations before every time, above 0; 1 is right before the last lessons."""
+    """Parts of full training's iterations before every time, above 0; 1 is right before the last lessons. Where there
+    are none, ends stay as they are recorded."""
     box_size: Positive
     """Longer side of the object's box over the side of a cut picture."""
     components: Count
@@ -75,11 +79,6 @@ class EndsConfig:
     """Parts of the photographs that are judged in turn by regressions fitted to the others."""
     photographs: Several
     """How many are compared with each other, from the first on."""
-
-    def __post_init__(self) -> None:
-        """Raise ConfigError where ends are never told."""
-        if not self.after:
-            raise ConfigError("ends.after is []; expected at least one part of training")
 
 
 @torch.no_grad()
@@ -103,19 +102,15 @@ def tell_ends(
     features = paintless_features(images, extractor, config.components, config.repainting_floor, rng)
     turn = consistent_axes(features, recorded[:, :2], config, rng)
     agree([turn])  # or one process might count fewer sides, draw nothing below, and draw other batches from here on
-    to_the_right = turn[:, 1:] < 0
-    odd = torch.where(to_the_right, -1, 1) * (features[0] - features[1])
-    slant = -turn[:, 0].asin()
-    if (sides := int((slant.abs() <= math.radians(config.side_reach)).sum())) < _FEWEST:
+    views = odd_views(features, turn, coordinates, poses)
+    if (sides := int(views.within(config.side_reach).sum())) < _FEWEST:
         if is_first():
             tqdm.write(f"ends stay as they are recorded: {sides} photographs show sides, telling them needs {_FEWEST}")
-        return torch.zeros_like(slant)
-    roll = torch.where(to_the_right, -1, 1) * poses.roll(coordinates)[:, None]
-    others = torch.cat([slant[:, None] * coordinates[:, 2:3], roll], 1)
+        return torch.zeros_like(views.slant)
     if config.shown == "equally":
-        belief = facing(odd, slant, others, config, rng)
+        belief = facing(views, config, rng)
     else:
-        belief = facing_with_preferred_end(odd, slant, others, config)
+        belief = facing_with_preferred_end(views, config.side_reach)
     seen, opposite = opposite_bins(torch.atan2(turn[:, 1], turn[:, 0]))
     probabilities = ((1 + belief) * seen.T + (1 - belief) * opposite.T).T / 2
     scores = judge(features, probabilities, config.ridge, config.folds, rng)
@@ -144,27 +139,47 @@ def consistent_axes(
     return torch.where((consistent * turn).sum(dim=1, keepdim=True) < 0, -consistent, consistent)
 
 
-def facing(
-    odd: Float[Tensor, "N C"],
-    slant: Float[Tensor, " N"],
-    others: Float[Tensor, "N K"],
-    config: EndsConfig,
-    rng: torch.Generator,
-) -> Float[Tensor, " N"]:
+class OddViews(NamedTuple):
+    """What of photographs changes its sign in the mirror, seen as if all objects faced left."""
+
+    odd: Float[Tensor, "N C"]
+    """Of the features."""
+    slant: Float[Tensor, " N"]
+    """How far views are turned from a view of the side, in radians; positive where the recorded rear is nearer."""
+    others: Float[Tensor, "N K"]
+    """What else is known of a picture: slant times elevation, and roll."""
+
+    def within(self, degrees: float) -> Bool[Tensor, " N"]:
+        """Tell which slants are no larger, either way."""
+        return self.slant.abs() <= math.radians(degrees)
+
+
+def odd_views(
+    features: Float[Tensor, "2 N C"],
+    turn: Float[Tensor, "N 2"],
+    coordinates: Float[Tensor, "N 7"],
+    poses: PoseCoordinates,
+) -> OddViews:
+    """Return the odd part of features of photographs and of their mirror images, which have these azimuths."""
+    sign = torch.where(turn[:, 1:] < 0, -1, 1)
+    slant = -turn[:, 0].asin()
+    others = torch.cat([slant[:, None] * coordinates[:, 2:3], sign * poses.roll(coordinates)[:, None]], 1)
+    return OddViews(sign * (features[0] - features[1]), slant, others)
+
+
+def facing(views: OddViews, config: EndsConfig, rng: torch.Generator) -> Float[Tensor, " N"]:
     """Split objects by the way they face, from -1 to 1, up to a common sign.
 
-    `odd` changes its sign in the mirror, as do the slant (radians; 0 is a side view) and all `others` that are known of
-    a picture. What is left is split by its leading component at the sides, and from there by its mean over those
+    What is left without the slant is split by its leading component at the sides, and from there by its mean over those
     already split, which changes smoothly with the slant, each time for photographs of the other folds.
     """
-    rest = without_slant(odd, slant, others)
+    rest, slant = without_slant(views), views.slant
     turns = (2 * slant[:, None] * torch.arange(_FACING_HARMONICS, device=slant.device)).cos()
     shown = (rest[:, :, None] * turns[:, None]).flatten(1)
-    first = math.radians(config.side_reach)
-    seen, belief = slant.abs() <= first, torch.zeros_like(slant)
+    seen, belief = views.within(config.side_reach), torch.zeros_like(slant)
     belief[seen] = (_SHARPNESS * _leading_component(rest[seen])).tanh()
     fold = torch.randperm(len(slant), generator=rng, device=rng.device) % config.folds
-    for reach in torch.linspace(first, math.pi / 2, config.rounds).tolist():
+    for reach in torch.linspace(math.radians(config.side_reach), math.pi / 2, config.rounds).tolist():
         within, scores = slant.abs() <= reach, torch.zeros_like(slant)
         for held_out in range(config.folds):
             fitted, judged = seen & (fold != held_out), within & (fold == held_out)
@@ -174,35 +189,30 @@ def facing(
     return belief
 
 
-def without_slant(
-    odd: Float[Tensor, "N C"], slant: Float[Tensor, " N"], others: Float[Tensor, "N K"]
-) -> Float[Tensor, "N C"]:
-    """Take off what slants (radians) and others explain, and mostly the directions in which slants change features.
+def without_slant(views: OddViews) -> Float[Tensor, "N C"]:
+    """Take off what slants and others explain, and mostly the directions in which slants change features.
 
     Slants are not known exactly: what is left of their effect may vary more than the way objects face. A direction
     counts as much as slants change it compared with how much features vary without them.
     """
-    turns = _odd_harmonics(slant, _SLANT_HARMONICS)
-    rest, effects = _taken_off(torch.cat([turns, others], 1), odd)
+    turns = _odd_harmonics(views.slant, _SLANT_HARMONICS)
+    rest, effects = _taken_off(torch.cat([turns, views.others], 1), views.odd)
     changes = effects[:_SLANT_HARMONICS] * turns.std(dim=0)[:, None]
     variation = rest.square().mean() * torch.eye(len(changes), device=rest.device)
     return rest - rest @ changes.T @ torch.linalg.solve(changes @ changes.T + variation, changes)
 
 
-def facing_with_preferred_end(
-    odd: Float[Tensor, "N C"], slant: Float[Tensor, " N"], others: Float[Tensor, "N K"], config: EndsConfig
-) -> Float[Tensor, " N"]:
+def facing_with_preferred_end(views: OddViews, side_reach: float) -> Float[Tensor, " N"]:
     """Return whether objects face as recorded, from -1 to 1, if all oblique views show one end.
 
-    Arguments are as in `facing`, the slant positive where the recorded rear is nearer. The end that oblique views show
-    is the one that most views along the axis are recorded with, and of the two halves of the sides that their leading
-    component splits, most face as recorded.
+    It is the end that most views along the axis are recorded with, up to `side_reach` degrees from it. Views as near to
+    the side are split by their leading component into halves that face as most of them are recorded.
     """
-    reach = math.radians(config.side_reach)
-    side, along = slant.abs() <= reach, slant.abs() >= math.pi / 2 - reach
+    slant, side = views.slant, views.within(side_reach)
+    along = slant.abs() >= math.pi / 2 - math.radians(side_reach)
     belief = slant.sign() * slant[along].sign().sum().sign()
-    known = torch.cat([_odd_harmonics(slant, _SIDE_HARMONICS), others], 1)
-    rest, _ = _taken_off(known[side], odd[side])
+    known = torch.cat([_odd_harmonics(slant, _SIDE_HARMONICS), views.others], 1)
+    rest, _ = _taken_off(known[side], views.odd[side])
     split = _leading_component(rest)
     belief[side] = (_SHARPNESS * split * split.sign().sum().sign()).tanh()
     return belief

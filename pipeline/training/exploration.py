@@ -28,15 +28,15 @@ class Best(NamedTuple):
 def explore(
     model: FullModel,
     extractor: FeatureExtractor,
-    photographs: Features,
+    targets: Features,
     estimate: Estimate,
     record: Record,
     config: ExplorationConfig,
     rng: torch.Generator,
 ) -> Best:
-    """Find the candidate nearest to each photograph."""
+    """Find the candidate nearest to each photograph; `targets` are their features."""
     poses, shapes = candidates(model, estimate, record, config, rng)
-    losses = score(model, extractor, photographs, estimate, poses, shapes, config.map_weights)
+    losses = score(model, extractor, targets, estimate, poses, shapes, config.map_weights)
     far = ~within_reach(poses, record.pose, config.azimuth_reach)
     ranked = losses.double() + _BEYOND_REACH * far  # in float32 the large number would round their order away
     winner = ranked.argmin(dim=0)
@@ -49,13 +49,16 @@ def explore(
 def score(
     model: FullModel,
     extractor: FeatureExtractor,
-    photographs: Features,
+    targets: Features,
     estimate: Estimate,
     poses: Float[Tensor, "candidates B 7"],
     shapes: Float[Tensor, "candidates B K"],
     map_weights: tuple[float, ...],
 ) -> Float[Tensor, "candidates B"]:
-    """Return every candidate's distance, rendered with the estimated texture and background in one batch."""
+    """Return every candidate's distance from the targets; all are rendered in one batch.
+
+    Textures and backgrounds are the estimated ones.
+    """
     count = len(poses)
     vertices = model.shapes(shapes.flatten(0, 1))
     reconstructions = Reconstruction(
@@ -65,16 +68,16 @@ def score(
         estimate.backgrounds.repeat(count, 1, 1, 1),
     )
     features = extractor(model.render(reconstructions), len(map_weights))
-    return distances(photographs, features, count, map_weights)
+    return distances(targets, features, count, map_weights)
 
 
 def distances(
-    photographs: Features, features: Features, count: int, map_weights: tuple[float, ...]
+    targets: Features, features: Features, count: int, map_weights: tuple[float, ...]
 ) -> Float[Tensor, "candidates B"]:
-    """Return the distances of `count` candidates' features, one batch after the other, from the photographs'."""
-    photographs, features = comparable(photographs, map_weights), comparable(features, map_weights)
+    """Return the distances of `count` candidates' features, one batch after the other, from the targets'."""
+    targets, features = comparable(targets, map_weights), comparable(features, map_weights)
     of_candidates = zip(*(layer.chunk(count) for layer in features), strict=True)
-    return torch.stack([feature_distance(photographs, list(candidate)) for candidate in of_candidates])
+    return torch.stack([feature_distance(targets, list(candidate)) for candidate in of_candidates])
 
 
 def comparable(features: Features, map_weights: tuple[float, ...]) -> list[Float[Tensor, "B _ _ _"]]:

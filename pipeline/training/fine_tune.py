@@ -59,7 +59,7 @@ class Outputs:
                 "pose": model.read_poses(images),
                 "shape": model.read_shapes(images, features),
             }
-            self.texture_maps = model.texture_decoder(model.texture_encoder(images))
+            self.texture_maps = model.read_textures(images)
 
     @torch.no_grad()
     def admit(self, name: str, value: Float[Tensor, "B K"]) -> None:

@@ -70,11 +70,11 @@ class FullLoss:
         self.config, self.model, self.discriminator, self.extractor = config, model, discriminator, extractor
 
     def terms(
-        self, photographs: Features, estimate: Estimate, best: Best, rng: torch.Generator
+        self, targets: Features, estimate: Estimate, best: Best, rng: torch.Generator
     ) -> dict[str, Float[Tensor, ""]]:
         """Return the unweighted terms and their weighted sum, `loss`.
 
-        `photographs` are features of the batch. Reconstructions use the best shapes and poses with the estimated
+        `targets` are features of the photographs. Reconstructions use the best shapes and poses with the estimated
         textures and backgrounds; gradients reach the networks whose estimates those are, and the base shape.
         """
         config, model = self.config, self.model
@@ -82,10 +82,10 @@ class FullLoss:
         pose = model.poses(best.record.pose, vertices)
         images = model.render(Reconstruction(vertices, estimate.texture_maps, pose, estimate.backgrounds))
         features = _weighed(self.extractor(images), config.deepest_map)
-        photographs = _weighed(photographs, config.deepest_map)
+        targets = _weighed(targets, config.deepest_map)
         terms = {
-            "reconstruction": feature_distance(photographs, features).mean(),
-            "feature_matching": feature_matching(photographs, features),
+            "reconstruction": feature_distance(targets, features).mean(),
+            "feature_matching": feature_matching(targets, features),
             "pose_regression": pose_regression(estimate, best),
             "mirrored_regression": self.mirrored_regression(estimate, best),
             "shape_regression": self.shape_regression(estimate.shape, vertices),

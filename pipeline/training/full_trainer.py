@@ -5,13 +5,11 @@ from dataclasses import dataclass
 from functools import partial
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 from torch import Tensor
-from torch.nn import functional
 
-from pipeline.distributed import agree, average_losses, gather, share, shared_batch
+from pipeline.distributed import agree, average_losses, share, shared_batch
 from pipeline.errors import ConfigError
-from pipeline.geometry.camera import Pose
 from pipeline.losses.image_distance import Features
 from pipeline.networks.discriminator import ViewDiscriminator
 from pipeline.networks.full_model import FullModel, FullModelConfig
@@ -20,26 +18,18 @@ from pipeline.networks.scene_generator import LearnedScenes
 from pipeline.ranges import Count, Fraction, Momentum, Natural, Positive
 from pipeline.rendering.renderer import Mesh
 from pipeline.seeding import generator, initialised
-from pipeline.training.candidates import (
-    Estimate,
-    ExplorationConfig,
-    first_record,
-    flipped,
-    refining,
-)
+from pipeline.training.candidates import Estimate, ExplorationConfig, refining
 from pipeline.training.checkpoint import Part
 from pipeline.training.cuda_graph import GraphedStep
-from pipeline.training.ends import EndsConfig, tell_ends
+from pipeline.training.ends import EndsConfig
 from pipeline.training.exploration import explore
-from pipeline.training.first_poses import FirstPosesConfig, first_poses, read_all_poses
+from pipeline.training.first_poses import FirstPosesConfig
 from pipeline.training.full_losses import FullLoss, LossConfig
-from pipeline.training.lessons import LessonsConfig, learn_poses
+from pipeline.training.lessons import LessonsConfig
 from pipeline.training.optimization import adam, falling, set_learning_rate, take_step
 from pipeline.training.photographs import Photographs
+from pipeline.training.records import Records
 from pipeline.training.warm_up import WarmUpConfig, warm_up
-
-_CHUNK = 10_000
-"""Photographs whose recorded shapes are held at once."""
 
 
 @dataclass(frozen=True)
@@ -72,8 +62,7 @@ class FullTrainingConfig:
     """Of two-stage training alone; None leaves records at the paper's random poses."""
     lessons: LessonsConfig
     """From the first poses, from the recorded ones when ends are told apart, and from those after training."""
-    ends: EndsConfig | None
-    """None leaves ends as they are recorded."""
+    ends: EndsConfig
     settle: Fraction
     """The first part of the iterations, in which poses are refined, but not turned to the object's far side at once:
     textures that mean nothing yet would choose between its ends blindly, and undo what `ends` told
@@ -92,13 +81,13 @@ class FullTrainingConfig:
         if not self.model.shape.mirror:
             for name, value in (
                 ("first_poses", self.starts_from_first_poses),
-                ("ends", self.ends),
+                ("ends.after", self.ends.after),
                 ("loss.mirrored_regression", self.loss.mirrored_regression),
             ):
                 if value:
                     raise ConfigError(
                         f"train_full.{name} is for mirror-symmetric objects, but train_full.model.shape.mirror is "
-                        "false; expected null or 0, as in the ablation no-symmetry"
+                        "false; expected nothing there, as in the ablation no-symmetry"
                     )
 
     @property
@@ -126,9 +115,9 @@ class FullTrainer:
         parameters = [*self.model.parameters(), *self.discriminator.parameters()]
         self.optimizer = adam(parameters, config.learning_rate, config.betas)
         self.rng = generator(seed, "full_training", device=device)
-        self.record = first_record(self.model, len(photographs.images), self.rng)
-        self.visits = torch.zeros(len(photographs.images), dtype=torch.int64, device=device)
-        self._refine, self._explore = map(self._graphed, (refining(config.exploration), config.exploration))
+        self.records = Records(self.model, photographs, config.lessons, self.rng)
+        self._refine = self._graphed(refining(config.exploration))
+        self._explore = self._graphed(config.exploration)
         agree([*self.model.state_dict().values(), *self.discriminator.state_dict().values()])
 
     def draw(self, iteration: int) -> Int[Tensor, " B"]:
@@ -145,90 +134,46 @@ class FullTrainer:
         Ends are told before the step where `ends.after` says so. Every process explores for its share of the
         photographs and records what all of them found.
         """
-        self._turn_round_if_due(iteration)
+        self._tell_ends_if_due(iteration)
         config = self.config
         set_learning_rate(falling(config.learning_rate, iteration, config.iterations, config.cool_down), self.optimizer)
         refines = config.starts_from_first_poses and iteration < config.settle * config.iterations
         return (self._refine if refines else self._explore)(self.draw(iteration))
 
     def _graphed(self, exploration: ExplorationConfig) -> Callable[[Tensor], dict[str, Float[Tensor, ""]]]:
-        learn = partial(self._learn_from, exploration)
+        learn = partial(self._explore_and_learn, exploration)
         return GraphedStep(learn, self.rng.device, self.rng) if self.photographs.on_device else learn
 
-    def _learn_from(self, exploration: ExplorationConfig, index: Int[Tensor, " B"]) -> dict[str, Float[Tensor, ""]]:
+    def _explore_and_learn(
+        self, exploration: ExplorationConfig, index: Int[Tensor, " B"]
+    ) -> dict[str, Float[Tensor, ""]]:
         own = share(index)
         images, features = self.photographs.batch(own)
         estimate = self.estimate(images, features)
-        best = explore(self.model, self.extractor, features, estimate, self.record.rows(own), exploration, self.rng)
-        self.record.pose[index], self.record.shape[index] = gather(best.record.pose), gather(best.record.shape)
-        self.visits[index] += 1
+        recorded = self.records.best.rows(own)
+        best = explore(self.model, self.extractor, features, estimate, recorded, exploration, self.rng)
+        self.records.keep(index, best.record)
         losses = self.loss.terms(features, estimate, best, self.rng)
         take_step(losses["loss"], self.optimizer)
         return average_losses(losses)
 
     def starting_from(self, scenes: LearnedScenes) -> list[Callable[[], None]]:
         """List what comes before the first step of two-stage training: warm-up, first poses, lessons from them."""
-        start = [partial(warm_up, self.model, scenes.generators[0], self.config.warm_up, self.rng)]
-        if (first := self.config.first_poses) is not None:
-            start += [partial(self._record_first_poses, scenes, first), partial(self._learn_first_poses, first)]
+        config = self.config
+        start = [partial(warm_up, self.model, scenes.generators[0], config.warm_up, self.rng)]
+        if config.first_poses is not None:
+            start += self.records.starting_from(scenes, config.first_poses, config.warm_up.light)
         return start
 
-    def _record_first_poses(self, scenes: LearnedScenes, config: FirstPosesConfig) -> None:
-        """Record first poses of the first photographs from the base shapes of all seeds."""
-        images, light = self.photographs.images[: config.photographs], self.config.warm_up.light
-        poses = first_poses(self.model, scenes, self.extractor, images, config, light, self.rng)
-        agree([poses])
-        self.record.pose[: len(poses)] = poses
-
-    def _learn_first_poses(self, config: FirstPosesConfig) -> None:
-        """Let the pose networks learn the recorded first poses, and record what they then read off the others."""
-        photographs, poses = self.photographs.images, self.record.pose
-        count = min(config.photographs, len(photographs))
-        self._learn(torch.arange(count, device=poses.device), poses)
-        if count < len(photographs):
-            read = read_all_poses(self.model, photographs, count)
-            agree([read])
-            poses[count:] = read
-
-    def turn_round(self, config: EndsConfig) -> None:
-        """Turn recorded poses of photographs that show the opposite ends, and let the pose networks learn them.
-
-        Photographs beyond the first, or without a visit, show the ends that the networks then read off them.
-        """
-        surely = self._record_told_ends(config)
-        if not surely.any():
-            return
-        poses = self.record.pose
-        self._learn(surely.nonzero().flatten(), poses)
-        read = read_all_poses(self.model, self.photographs.images)
-        agree([read])
-        opposite = ~surely & ((read[:, :2] * poses[:, :2]).sum(dim=1) < 0)
-        poses.copy_(torch.where(opposite[:, None], flipped(poses, 1)[0], poses))
-
     def finish(self) -> None:
-        """Tell ends where they are to be told after training, and let the pose networks learn all visited records."""
-        self._turn_round_if_due(self.config.iterations)
-        index = self.visits.nonzero().flatten()
-        if len(index):
-            self._learn(index, self.record.pose)
+        """Tell ends where they are to be told after training, and teach the pose networks all visited records."""
+        self._tell_ends_if_due(self.config.iterations)
+        self.records.teach_visited()
 
-    def _turn_round_if_due(self, done: int) -> None:
+    def _tell_ends_if_due(self, done: int) -> None:
         ends = self.config.ends
-        if ends is not None and done in (int(part * self.config.iterations) for part in ends.after):
-            self.turn_round(ends)
-
-    def _record_told_ends(self, config: EndsConfig) -> Bool[Tensor, " N"]:
-        """Turn records of the first photographs, those visited, that show the opposite ends; tell which are sure."""
-        images, poses, model = self.photographs.images[: config.photographs], self.record.pose, self.model
-        read = read_all_poses(model, images)
-        told = tell_ends(images, poses[: len(read)], read, model.poses, self.extractor, config, self.rng)
-        agree([told])
-        told = functional.pad(told, (0, len(poses) - len(told))) * (self.visits > 0)
-        poses.copy_(torch.where(told[:, None] < 0, flipped(poses, 1)[0], poses))
-        return told != 0
-
-    def _learn(self, index: Int[Tensor, " K"], poses: Float[Tensor, "N 7"]) -> None:
-        learn_poses(self.model, self.photographs.images, index, poses[index], self.config.lessons, self.rng)
+        if done in (int(part * self.config.iterations) for part in ends.after):
+            self.records.turn_round(ends)
 
     def estimate(self, images: Float[Tensor, "B 3 H W"], features: Features) -> Estimate:
         """Run all encoders and decoders on a batch of photographs."""
@@ -239,16 +184,9 @@ class FullTrainer:
             model.pose_decoder.ensemble(pose_code),
             model.pose_decoder(mirrored_code),
             model.read_shapes(images, features),
-            model.texture_decoder(model.texture_encoder(images)),
-            model.background_decoder(model.background_encoder(images)),
+            model.read_textures(images),
+            model.read_backgrounds(images),
         )
-
-    @torch.no_grad()
-    def recorded_pose(self) -> Pose:
-        """Return the best poses of all training photographs; those without a visit have the one they started with."""
-        rows = zip(self.record.pose.split(_CHUNK), self.record.shape.split(_CHUNK), strict=True)
-        poses = [self.model.poses(pose, self.model.shapes(shape)) for pose, shape in rows]
-        return Pose(*(torch.cat(values) for values in zip(*poses, strict=True)))
 
     def parts(self) -> dict[str, Part]:
         """Name everything a restart state has to hold."""
@@ -257,7 +195,5 @@ class FullTrainer:
             "discriminator": self.discriminator,
             "optimizer": self.optimizer,
             "rng": self.rng,
-            "pose": self.record.pose,
-            "shape": self.record.shape,
-            "visits": self.visits,
+            **self.records.parts(),
         }

@@ -16,8 +16,8 @@ from pipeline.datasets.images import Images
 from pipeline.distributed import average, share, silent
 from pipeline.networks.full_model import FullModel
 from pipeline.ranges import Count, Momentum, Natural, Positive
-from pipeline.training.checkpoint import read_losses, require_finite
 from pipeline.training.cuda_graph import GraphedStep
+from pipeline.training.divergence import read_losses, require_finite
 from pipeline.training.optimization import adam, falling, set_learning_rate, take_step
 
 

@@ -9,8 +9,9 @@ from torch import Tensor
 from tqdm import tqdm
 
 from pipeline.distributed import silent
-from pipeline.training.checkpoint import Checkpoint, Part, pack, read_losses, require_finite, unpack
+from pipeline.training.checkpoint import Checkpoint, Part, pack, unpack
 from pipeline.training.curves import Curve
+from pipeline.training.divergence import read_losses, require_finite
 
 
 @dataclass(frozen=True)

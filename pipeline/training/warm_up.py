@@ -19,8 +19,8 @@ from pipeline.networks.scene_generator import SceneGenerator
 from pipeline.ranges import Count, Momentum, Natural, NonNegative, Positive
 from pipeline.rendering.lighting import Light
 from pipeline.rendering.renderer import Mesh, render
-from pipeline.training.checkpoint import read_losses, require_finite
 from pipeline.training.cuda_graph import GraphedStep
+from pipeline.training.divergence import read_losses, require_finite
 from pipeline.training.optimization import adam, take_step
 from pipeline.training.viewpoints import LightConfig, sample_lights
 
@@ -103,9 +103,9 @@ def warm_up_loss(model: FullModel, sample: Sample) -> Float[Tensor, ""]:
     drawn = model.render(
         Reconstruction(
             vertices,
-            model.texture_decoder(model.texture_encoder(images)),
+            model.read_textures(images),
             model.poses(pose, vertices),
-            model.background_decoder(model.background_encoder(images)),
+            model.read_backgrounds(images),
         )
     )
     return poses + (drawn - images).abs().mean()

@@ -65,8 +65,8 @@ def images() -> torch.Tensor:
 
 
 def learn(folder: Path, images: torch.Tensor, extractor: FeatureExtractor, config: BaseShapeConfig) -> BaseShapes:
-    checkpoints = [Checkpoint(folder / str(index), "key") for index in range(config.seeds)]
-    return learn_base_shape(config, Photographs(images, extractor, config.batch_size, MEMORY), 0, checkpoints)
+    photographs = Photographs(images, extractor, config.batch_size, MEMORY)
+    return learn_base_shape(config, photographs, 0, Checkpoint(folder, "key"))
 
 
 def test_a_killed_run_resumes_to_the_same_bytes(
@@ -133,7 +133,7 @@ def test_a_loss_that_is_not_a_number_keeps_the_state_before_it(
     monkeypatch.setattr(SeedTrainer, "generate", broken)
     with pytest.raises(TrainingDiverged, match="iteration 3"):
         learn(tmp_path, images, extractor, CONFIG)
-    state = base_shape.Checkpoint(tmp_path / "0", "key").load()
+    state = Checkpoint(tmp_path, "key").part("0").load()
     assert state is not None
     assert state[1]["iteration"] == 2
 

@@ -19,19 +19,20 @@ from pipeline.networks.full_model import Reconstruction
 from pipeline.networks.pose_coordinates import PoseRange
 from pipeline.seeding import generator
 from pipeline.tensor_files import load_tensors
-from pipeline.training import full_trainer
+from pipeline.training import full_trainer, records
 from pipeline.training.candidates import flipped
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.curves import Curve
-from pipeline.training.ends import EndsConfig
 from pipeline.training.exploration import Best, explore, score
 from pipeline.training.fine_tune import FineTuneConfig, Outputs, PhaseConfig, fine_tune, tune
 from pipeline.training.first_poses import read_all_poses
 from pipeline.training.full import train_full
 from pipeline.training.full_trainer import FullTrainer, FullTrainingConfig
 from pipeline.training.photographs import Photographs
+from pipeline.training.records import Records
 from stages.train_full import save
 from tests.tiny_full_model import (
+    ENDS,
     MODEL,
     TRAINING,
     base_mesh,
@@ -70,8 +71,8 @@ def state(trainer: FullTrainer) -> dict[str, Tensor]:
     return {
         **trainer.model.state_dict(),
         **{f"discriminator.{name}": value for name, value in trainer.discriminator.state_dict().items()},
-        "pose": trainer.record.pose,
-        "shape": trainer.record.shape,
+        "pose": trainer.records.best.pose,
+        "shape": trainer.records.best.shape,
         "rng": trainer.rng.get_state(),
     }
 
@@ -103,7 +104,7 @@ def test_a_start_that_dies_goes_on_after_what_is_done(
     assert TRAINING.first_poses is not None
     config = replace(TRAINING, iterations=2, first_poses=replace(TRAINING.first_poses, photographs=6))
     whole = state(train(config, tmp_path / "whole"))
-    with patch.object(full_trainer, deadly, side_effect=KeyboardInterrupt), pytest.raises(KeyboardInterrupt):
+    with patch.object(records, deadly, side_effect=KeyboardInterrupt), pytest.raises(KeyboardInterrupt):
         train(config, tmp_path / "dead")
     monkeypatch.setattr(full_trainer, "warm_up", Mock(side_effect=AssertionError("the warm-up is done")))
     resumed = state(train(config, tmp_path / "dead"))
@@ -129,11 +130,10 @@ def test_poses_are_free_from_the_start_where_there_are_no_first_ones(
 def test_training_that_dies_after_telling_ends_resumes_to_the_same_bytes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ends = EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 1000)
-    config = replace(TRAINING, first_poses=None, ends=ends, photographs_per_iteration=40.0)
+    config = replace(TRAINING, first_poses=None, ends=replace(ENDS, after=(0.5,)), photographs_per_iteration=40.0)
     count, step = 80, FullTrainer.step
     whole = state(train(config, tmp_path / "whole", count))
-    untold = state(train(replace(config, ends=None), tmp_path / "untold", count))
+    untold = state(train(replace(config, ends=ENDS), tmp_path / "untold", count))
     turned = (whole["pose"][:, :2] * untold["pose"][:, :2]).sum(dim=1) < -0.9
     assert 0.1 < turned.float().mean() < 0.9
 
@@ -153,53 +153,52 @@ def test_training_that_dies_after_telling_ends_resumes_to_the_same_bytes(
 def test_ends_are_turned_as_told_and_elsewhere_as_read(monkeypatch: pytest.MonkeyPatch) -> None:
     (images, _), extractor = photographs(12), tiny_extractor()
     trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
-    before, told = trainer.record.pose.clone(), torch.tensor([1.0, -1, 1, -1, 1, 1, -0.1, 1])
-    trainer.visits += 1
-    trainer.visits[7] = 0
+    before, told = trainer.records.best.pose.clone(), torch.tensor([1.0, -1, 1, -1, 1, 1, -0.1, 1])
+    trainer.records.visits += 1
+    trainer.records.visits[7] = 0
     read_as_recorded = torch.tensor([True] * 7 + [False, True, False, True, False])
     read = torch.where(read_as_recorded[:, None], before, flipped(before, 1)[0])
-    monkeypatch.setattr("pipeline.training.full_trainer.tell_ends", lambda images, *_: told[: len(images)])
-    monkeypatch.setattr("pipeline.training.full_trainer.read_all_poses", lambda *_: read)
-    trainer.turn_round(EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 8))
-    turned = (trainer.record.pose[:, :2] * before[:, :2]).sum(dim=1) < 0
+    monkeypatch.setattr("pipeline.training.records.tell_ends", lambda images, *_: told[: len(images)])
+    monkeypatch.setattr("pipeline.training.records.read_all_poses", lambda *_: read)
+    trainer.records.turn_round(replace(ENDS, photographs=8))
+    turned = (trainer.records.best.pose[:, :2] * before[:, :2]).sum(dim=1) < 0
     assert turned.nonzero().flatten().tolist() == [1, 3, 6, 7, 9, 11]
-    torch.testing.assert_close(trainer.record.pose[:, 2:], before[:, 2:])
+    torch.testing.assert_close(trainer.records.best.pose[:, 2:], before[:, 2:])
 
 
 def test_ends_of_photographs_without_a_visit_are_not_turned(monkeypatch: pytest.MonkeyPatch) -> None:
     (images, _), extractor = photographs(12), tiny_extractor()
     trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
-    before = trainer.record.pose.clone()
-    monkeypatch.setattr("pipeline.training.full_trainer.tell_ends", lambda images, *_: -torch.ones(len(images)))
-    trainer.turn_round(EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 8))
-    assert torch.equal(trainer.record.pose, before)
+    before = trainer.records.best.pose.clone()
+    monkeypatch.setattr("pipeline.training.records.tell_ends", lambda images, *_: -torch.ones(len(images)))
+    trainer.records.turn_round(replace(ENDS, photographs=8))
+    assert torch.equal(trainer.records.best.pose, before)
 
 
 def test_ends_told_after_training_are_learned_in_the_last_lessons(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ends = EndsConfig("equally", (1.0,), 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 1000)
+    ends = replace(ENDS, after=(1.0,))
     lessons: list[Tensor] = []
-    monkeypatch.setattr("pipeline.training.full_trainer.learn_poses", lambda *given: lessons.append(given[3]))
+    monkeypatch.setattr("pipeline.training.records.learn_poses", lambda *given: lessons.append(given[3]))
     untold = train(TRAINING, tmp_path / "untold")
-    monkeypatch.setattr("pipeline.training.full_trainer.tell_ends", lambda images, *_: -torch.ones(len(images)))
+    monkeypatch.setattr("pipeline.training.records.tell_ends", lambda images, *_: -torch.ones(len(images)))
     told = train(replace(TRAINING, ends=ends), tmp_path / "told")
-    visited = told.visits > 0
-    assert torch.equal(told.record.pose[visited], flipped(untold.record.pose, 1)[0][visited])
-    assert torch.equal(lessons[-1], told.record.pose[visited])
+    visited = told.records.visits > 0
+    assert torch.equal(told.records.best.pose[visited], flipped(untold.records.best.pose, 1)[0][visited])
+    assert torch.equal(lessons[-1], told.records.best.pose[visited])
 
 
 @pytest.mark.parametrize(
-    ("after", "steps"), [(None, []), ((0.5,), [2]), ((0.5, 1.0), [2, 4]), ((0.25, 0.75), [1, 3]), ((1.0,), [4])]
+    ("after", "steps"), [((), []), ((0.5,), [2]), ((0.5, 1.0), [2, 4]), ((0.25, 0.75), [1, 3]), ((1.0,), [4])]
 )
 def test_ends_are_told_when_the_config_says(
-    after: tuple[float, ...] | None, steps: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    after: tuple[float, ...], steps: list[int], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ends = None if after is None else EndsConfig("equally", after, 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 1000)
     step, done, told = FullTrainer.step, [], []
     monkeypatch.setattr(FullTrainer, "step", lambda self, i: (step(self, i), done.append(i))[0])
-    monkeypatch.setattr(FullTrainer, "turn_round", lambda *_: told.append(len(done)))
-    train(replace(SINGLE_STAGE, iterations=4, ends=ends), tmp_path)
+    monkeypatch.setattr(Records, "turn_round", lambda *_: told.append(len(done)))
+    train(replace(SINGLE_STAGE, iterations=4, ends=replace(ENDS, after=after)), tmp_path)
     assert told == steps
 
 
@@ -242,7 +241,7 @@ def test_every_visit_of_a_photograph_counts() -> None:
     trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
     for iteration in range(2):
         trainer.step(iteration)
-    assert trainer.visits.tolist() == [2] * TRAINING.batch_size
+    assert trainer.records.visits.tolist() == [2] * TRAINING.batch_size
 
 
 def test_photographs_on_disk_give_the_same_training(tmp_path: Path) -> None:
@@ -274,8 +273,8 @@ def test_photographs_beyond_the_first_start_from_poses_that_the_networks_read(tm
     pictures = Photographs(images, tiny_extractor(), few.batch_size, MEMORY)
     trainer, _ = train_full(few, pictures, base_mesh(), tiny_scenes(), 0, Checkpoint(tmp_path, "key"))
     read = read_all_poses(trainer.model, images)
-    torch.testing.assert_close(trainer.record.pose[6:], read[6:])
-    assert not torch.isclose(trainer.record.pose[:6], read[:6]).all(dim=1).any()
+    torch.testing.assert_close(trainer.records.best.pose[6:], read[6:])
+    assert not torch.isclose(trainer.records.best.pose[:6], read[:6]).all(dim=1).any()
 
 
 @pytest.mark.slow
@@ -299,8 +298,8 @@ def test_training_finds_poses_and_reconstructs(tmp_path: Path) -> None:
     features = [layer.float() for layer in extract(extractor, images, 8)]
     with torch.no_grad():
         estimate = trainer.estimate(images.float() / 255, features)
-    poses = torch.cat([trainer.record.pose, trainer.model.poses.draw(8 * 10, generator(9))]).unflatten(0, (11, 8))
-    shapes = trainer.record.shape.expand(11, -1, -1)
+    poses = torch.cat([trainer.records.best.pose, trainer.model.poses.draw(8 * 10, generator(9))]).unflatten(0, (11, 8))
+    shapes = trainer.records.best.shape.expand(11, -1, -1)
     distances = score(trainer.model, extractor, features, estimate, poses, shapes, config.exploration.map_weights)
     assert (distances[0] < distances[1:]).float().mean() > 0.9
 
@@ -365,7 +364,7 @@ def train_with_known_poses(images: Tensor, poses: Tensor, iterations: int) -> Fu
         photographs_per_iteration=float(len(images)),
     )
     trainer = FullTrainer(config, Photographs(images, extractor, 4, MEMORY), base_mesh(), 0)
-    trainer.record.pose.copy_(poses)
+    trainer.records.best.pose.copy_(poses)
     for iteration in range(iterations):
         trainer.step(iteration)
     return trainer
@@ -407,14 +406,14 @@ def test_pose_networks_learn_the_ends_that_are_surely_told(monkeypatch: pytest.M
     (images, _), extractor = photographs(12), tiny_extractor()
     trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
     told, lessons = torch.tensor([1.0, -1, 0, -1, 1, 1, -0.1, 1]), list[tuple[Tensor, Tensor]]()
-    trainer.visits += 1
-    trainer.visits[7] = 0
-    monkeypatch.setattr(full_trainer, "tell_ends", lambda *_: told)
-    monkeypatch.setattr(full_trainer, "learn_poses", lambda *given: lessons.append(given[2:4]))
-    trainer.turn_round(EndsConfig("equally", (0.5,), 0.85, 8, 0.3, 2.0, 60.0, 3, 4.0, 2, 8))
+    trainer.records.visits += 1
+    trainer.records.visits[7] = 0
+    monkeypatch.setattr(records, "tell_ends", lambda *_: told)
+    monkeypatch.setattr(records, "learn_poses", lambda *given: lessons.append(given[2:4]))
+    trainer.records.turn_round(replace(ENDS, photographs=8))
     [(index, poses)] = lessons
     assert index.tolist() == [0, 1, 3, 4, 5, 6]
-    assert torch.equal(poses, trainer.record.pose[index])
+    assert torch.equal(poses, trainer.records.best.pose[index])
 
 
 def test_first_lessons_are_of_photographs_that_have_first_poses(
@@ -422,7 +421,7 @@ def test_first_lessons_are_of_photographs_that_have_first_poses(
 ) -> None:
     assert TRAINING.first_poses is not None
     few, taught = replace(TRAINING, iterations=0, first_poses=replace(TRAINING.first_poses, photographs=6)), []
-    monkeypatch.setattr(full_trainer, "learn_poses", lambda *given: taught.append(given[2].tolist()))
+    monkeypatch.setattr(records, "learn_poses", lambda *given: taught.append(given[2].tolist()))
     pictures = Photographs(photographs(8)[0], tiny_extractor(), few.batch_size, MEMORY)
     train_full(few, pictures, base_mesh(), tiny_scenes(), 0, Checkpoint(tmp_path, "key"))
     assert taught == [list(range(6))]
@@ -439,7 +438,7 @@ def test_seeds_of_full_training_differ() -> None:
     (images, _), extractor = photographs(8), tiny_extractor()
     kept = Photographs(images, extractor, 8, MEMORY)
     first, second = (FullTrainer(TRAINING, kept, base_mesh(), seed) for seed in (0, 1))
-    assert not torch.equal(first.record.pose, second.record.pose)
+    assert not torch.equal(first.records.best.pose, second.records.best.pose)
     for one, other in ((first.model, second.model), (first.discriminator, second.discriminator)):
         weights = zip(one.parameters(), other.parameters(), strict=True)
         assert any(not torch.equal(ours, theirs) for ours, theirs in weights)
@@ -448,8 +447,8 @@ def test_seeds_of_full_training_differ() -> None:
 def test_the_stage_writes_how_often_photographs_were_visited(tmp_path: Path) -> None:
     (images, _), extractor = photographs(8), tiny_extractor()
     trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
-    trainer.visits[[1, 5]] = torch.tensor([3, 1])
+    trainer.records.visits[[1, 5]] = torch.tensor([3, 1])
     save(trainer, tmp_path / "model.safetensors")
     tensors, _ = load_tensors(tmp_path / "model.safetensors")
     assert tensors["train_visits"].tolist() == [0, 3, 0, 0, 0, 1, 0, 0]
-    torch.testing.assert_close(tensors["train_pose"], pose_to_tensor(trainer.recorded_pose()))
+    torch.testing.assert_close(tensors["train_pose"], pose_to_tensor(trainer.records.poses()))

@@ -99,7 +99,7 @@ def test_each_ablation_changes_what_its_name_says() -> None:
         for name in ("smoothness", "symmetry", "texture_simplicity", "background_simplicity")
     }
     counts = ("random_poses", "turned_poses", "raised_poses", "flipped_poses", "perturbed_poses")
-    single_stage = {"two_stage": False, "ends": None}
+    single_stage = {"two_stage": False, "after": ()}
     weights = ("total_variation", "copied_background", "mirrored_regression")
     weights += ("laplacian_squared_weight", "angle_squared_weight")
     free = {"mirror_texture": False, "stripes": False, "mirror": False, **dict.fromkeys(weights, 0)}
@@ -120,7 +120,7 @@ def test_each_ablation_changes_what_its_name_says() -> None:
             "mirror": False,
             "mirrored_regression": 0,
             "first_poses": None,
-            "ends": None,
+            "after": (),
         },
         "fixed-base": {"base_learning": None},
         "longer": {"iterations": 2400, "base_roughness": 0.4},
@@ -129,13 +129,13 @@ def test_each_ablation_changes_what_its_name_says() -> None:
         "single-stage": single_stage,
         "single-stage-no-constraints": single_stage | free,
         "no-exploration": {"shapes": None, **dict.fromkeys(counts, 0)},
-        "no-first-poses": {"first_poses": None, "ends": None},
-        "no-ends": {"ends": None},
+        "no-first-poses": {"first_poses": None, "after": ()},
+        "no-ends": {"after": ()},
         "no-view-prior": {"view_prior": 0},
         "no-copying-cost": {"copied_background": 0},
         "no-additions": {
             "first_poses": None,
-            "ends": None,
+            "after": (),
             "deepest_map": 1,
             "base_learning": None,
             "raised_poses": 0,

@@ -13,7 +13,7 @@ from ruamel.yaml import YAML
 
 from pipeline.export.runs_page import MeasuredRun
 from pipeline.files import read_json, write_json
-from pipeline.rows.turn_on import BASELINES
+from pipeline.rows.options import BASELINES
 from tests.project.import_closure import ROOT
 from tests.project.result_tables import MARKED, PAGES, TABLES, Confusion, Table, render, with_tables
 

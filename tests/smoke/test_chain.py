@@ -16,7 +16,8 @@ from PIL import Image
 
 from pipeline.files import read_json, sha256
 from pipeline.networks.seed_choice import load_seed
-from pipeline.rows.turn_on import Options, turn_on
+from pipeline.rows.options import Options
+from pipeline.rows.turn_on import turn_on
 from pipeline.tensor_files import load_tensors
 from tests.smoke.tiny_project import commands, environment, make_tiny_project, read_params, run, write_params
 

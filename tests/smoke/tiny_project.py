@@ -73,7 +73,8 @@ TINY: dict[str, Any] = {
         "checkpoint_every": 1,
     },
     "evaluate": {"shape": {"voxel_resolution": 8, "surface_points": 50}, "chance_draws": 10},
-    "report": {"examples": 2, "stepped": 1, "frames": 2, "view": {"size": 32, "supersampling": 1}},
+    "report": {"examples": 2, "stepped": 1, "view": {"size": 32, "supersampling": 1}},
+    "turntable": {"frames": 2, "view": {"size": 32, "supersampling": 1}},
 }
 
 

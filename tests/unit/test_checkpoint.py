@@ -12,8 +12,8 @@ import torch
 from torch import Tensor, nn
 from torch.optim import SGD, Adam, Optimizer
 
-from pipeline.errors import DataError, TrainingDiverged
-from pipeline.training.checkpoint import Checkpoint, pack, read_losses, reserved, restart_key, unpack
+from pipeline.errors import DataError
+from pipeline.training.checkpoint import Checkpoint, pack, reserved, restart_key, unpack
 
 
 def adam(parameters: Iterable[nn.Parameter]) -> Optimizer:
@@ -181,14 +181,6 @@ def test_the_key_depends_on_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyP
         (tmp_path / code).write_text(text)
         keys.append(restart_key(Settings(0.1), [], 0, torch.device("cpu"), torch.float32))
     assert keys[0] != keys[1]
-
-
-@pytest.mark.parametrize("value", [float("nan"), float("inf")])
-def test_a_loss_that_is_not_finite_stops_the_training(value: float) -> None:
-    losses = [{"loss": torch.tensor(number)} for number in (1.0, value, 2.0)]
-    assert read_losses(losses[:1], 15, "full training") == [{"loss": 1.0}]
-    with pytest.raises(TrainingDiverged, match=r"of full training became .* at iteration 16; what was saved before"):
-        read_losses(losses, 17, "full training")
 
 
 def test_optimizer_state_is_restored_where_the_parameters_are() -> None:

@@ -27,7 +27,7 @@ from pipeline.cli import doctor
 from pipeline.cli import reconstruct as reconstruction
 from pipeline.cli.__main__ import main
 from pipeline.cli.finishing import Reading, writing
-from pipeline.cli.outputs import Found
+from pipeline.cli.outputs import Found, TurntableConfig
 from pipeline.cli.photographs import RECORD, Target, Task, list_tasks
 from pipeline.cli.reconstruct import Settings, Steps, _way
 from pipeline.cli.runs import Run
@@ -38,15 +38,17 @@ from pipeline.export.views import ViewConfig, on_white, render_textured
 from pipeline.files import alone
 from pipeline.geometry.camera import CameraConfig, pose_to_tensor
 from pipeline.networks.feature_extractor import extract, load_feature_extractor, save_feature_extractor
-from pipeline.networks.full_model import Reconstruction, full_model_texts
+from pipeline.networks.full_model import Reconstruction, save_full_model
 from pipeline.networks.wide_resnet import WideResNet
 from pipeline.tensor_files import load_tensors, save_tensors
 from tests.fresh_params import write_fresh_params
 from tests.learning.test_full_training import FINE_TUNING
 from tests.picture_trees import picture, write_folder
-from tests.report_inputs import CONFIG as REPORT
+from tests.report_inputs import VIEW
 from tests.tiny_full_model import base_mesh, photographs, tiny_model
 from tests.unit.test_painting import CONFIG as PAINT
+
+TURNTABLE = TurntableConfig(frames=4, view=VIEW)
 
 
 @pytest.fixture(scope="module")
@@ -59,11 +61,11 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     params = yaml.load(write_fresh_params(folder / "params.yaml"))
     for phase in ("background", "pose", "shape"):
         params["sizes"]["laptop"]["fine_tune"][phase] = {"steps": 2}
-    params["report"] |= {"frames": 4, "view": {"size": 64, "supersampling": 1, "elevation": 15}}
+    params["turntable"] = {"frames": 4, "view": {"size": 64, "supersampling": 1, "elevation": 15}}
     params["device"], params["precision"] = "cpu", "float32"
     yaml.dump(params, folder / "params.yaml")
     model = tiny_model()
-    save_tensors(folder / "models/full/toybox-car.safetensors", model.state_dict(), full_model_texts(model))
+    save_full_model(folder / "models/full/toybox-car.safetensors", model, {})
     save_feature_extractor(folder / "models/features/toybox-laptop.safetensors", WideResNet(10, 1, 2), 2.0, {})
     for name, photograph in zip(("car", "van"), photographs(2)[0], strict=True):
         Image.fromarray(photograph.permute(1, 2, 0).contiguous().numpy()).save(parent / f"{name}.png")
@@ -810,7 +812,7 @@ def test_an_animation_is_endless_and_as_fast_as_asked(tmp_path: Path) -> None:
 def test_mirror_symmetric_textures_alone_are_painted_alike() -> None:
     for mirror in (True, False):
         model = tiny_model(mirror_texture=mirror)
-        assert writing(model, Reading(32, "crop"), ["mesh"], REPORT, PAINT).mirror_texture == mirror
+        assert writing(model, Reading(32, "crop"), ["mesh"], TURNTABLE, PAINT).mirror_texture == mirror
 
 
 def test_a_folder_holds_reconstructions_by_one_network_of_features(tmp_path: Path) -> None:
@@ -820,5 +822,5 @@ def test_a_folder_holds_reconstructions_by_one_network_of_features(tmp_path: Pat
     (tmp_path / "models/full/car.safetensors").write_bytes(b"model")
     for content in (b"first", b"second"):
         (tmp_path / "models/features/features.safetensors").write_bytes(content)
-        ways.append(_way(run, Settings(FINE_TUNING, PAINT, "crop", REPORT), Steps(False, False)))
+        ways.append(_way(run, Settings(FINE_TUNING, PAINT, "crop", TURNTABLE), Steps(False, False)))
     assert ways[0] != ways[1]

@@ -207,7 +207,7 @@ def test_mirror_images_are_read_at_mirrored_poses() -> None:
     read = model.pose_decoder(model.pose_encoder(images.flip(-1)))
     torch.testing.assert_close(estimate.mirrored.coordinates, read.coordinates)
     known = estimate._replace(mirrored=exact_regression(model.poses.mirror(poses)))
-    best = Best(Record(poses, trainer.record.shape), torch.zeros(4).long())
+    best = Best(Record(poses, trainer.records.best.shape), torch.zeros(4).long())
     assert trainer.loss.mirrored_regression(known, best) < 1e-5
 
 
@@ -219,7 +219,7 @@ def test_what_exploration_finds_is_recorded_for_the_photographs_that_were_drawn(
     monkeypatch.setattr(full_trainer, "explore", lambda *_: Best(found, torch.zeros(4).long()))
     monkeypatch.setattr(trainer, "draw", lambda _: index)
     trainer.step(TRAINING.iterations - 1)
-    for kept, wanted in zip(trainer.record.rows(index), found, strict=True):
+    for kept, wanted in zip(trainer.records.best.rows(index), found, strict=True):
         assert torch.equal(kept, wanted)
 
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pipeline.geometry.camera import pose_to_tensor
 from pipeline.networks.encoders import Encoder
-from pipeline.networks.full_model import FullModel, full_model_texts, load_full_model
+from pipeline.networks.full_model import FullModel, load_full_model, save_full_model
 from pipeline.seeding import generator
 from pipeline.tensor_files import save_tensors
 from pipeline.training.full import load_base
@@ -33,7 +33,7 @@ def pictures(count: int) -> Tensor:
 def test_model_from_a_file_predicts_the_same(shapes_from: str, tmp_path: Path) -> None:
     model, images = tiny_model(framing="box", shapes_from=shapes_from).eval(), pictures(2)
     path = tmp_path / "model.safetensors"
-    save_tensors(path, model.state_dict(), full_model_texts(model))
+    save_full_model(path, model, {})
     loaded = load_full_model(path, torch.device("cpu"))
     assert loaded.config == model.config
     assert not loaded.training

@@ -17,8 +17,8 @@ from pipeline.networks.scene_generator import (
     SceneConfig,
     SceneGenerator,
     load_scenes,
+    scene_metadata,
     scene_tensors,
-    scene_texts,
 )
 from pipeline.seeding import generator, initialised
 from pipeline.tensor_files import save_tensors
@@ -129,7 +129,7 @@ def test_generators_survive_their_file_and_the_chosen_ones_come_first(tmp_path: 
     models = [build(seed=seed).eval() for seed in range(3)]
     directions, faces = icosphere(1)
     tensors = {"seed_scores": torch.tensor([0.5, 0.1, 0.4]), "faces": faces, "directions": directions}
-    save_tensors(tmp_path / "scene.safetensors", {**tensors, **scene_tensors(models)}, scene_texts(models[0]))
+    save_tensors(tmp_path / "scene.safetensors", {**tensors, **scene_tensors(models)}, scene_metadata(models[0]))
     save_tensors(tmp_path / "mesh.safetensors", {}, {"seed": "2"})
     files, device = (tmp_path / "scene.safetensors", tmp_path / "mesh.safetensors"), torch.device("cpu")
     loaded = load_scenes(*files, 8, device)

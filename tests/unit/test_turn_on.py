@@ -11,8 +11,9 @@ from pipeline.config import entries
 from pipeline.datasets.prepare import load_prepare
 from pipeline.datasets.survey import Contents, survey
 from pipeline.errors import ConfigError, UserError
+from pipeline.rows.options import Options
 from pipeline.rows.params_file import round_trip_yaml
-from pipeline.rows.turn_on import Options, turn_on
+from pipeline.rows.turn_on import turn_on
 from stages import run_row
 from stages.settings import require_settings
 from tests.fresh_params import write_fresh_params

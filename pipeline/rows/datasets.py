@@ -6,11 +6,12 @@ from typing import Any
 
 from ruamel.yaml.comments import CommentedMap
 
-from pipeline.config import merge, require_known
+from pipeline.config import merge
 from pipeline.datasets import cifar10
 from pipeline.datasets.survey import Contents, survey
 from pipeline.datasets.toybox import toybox
 from pipeline.errors import ConfigError
+from pipeline.naming import require_known
 from pipeline.networks.pose_coordinates import Framing
 from pipeline.rows.params_file import put
 
