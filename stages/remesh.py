@@ -7,8 +7,9 @@ from typing import Literal
 from pipeline.config import load
 from pipeline.errors import MeshError
 from pipeline.files import write_json
+from pipeline.geometry.mapped_mesh import MappedMesh
 from pipeline.geometry.mesh_quality import measure_remeshing
-from pipeline.geometry.remeshing import IsotropicConfig, MappedMesh, remesh_isotropic
+from pipeline.geometry.remeshing import IsotropicConfig, remesh_isotropic
 from pipeline.geometry.sphere_map import SphereMapConfig
 from pipeline.networks.seed_choice import choose_seed
 from pipeline.tensor_files import load_tensors, save_tensors

@@ -2,8 +2,8 @@
 
 import torch
 
+from pipeline.geometry.mapped_mesh import MappedMesh
 from pipeline.geometry.meshlab import one_sided_distance
-from pipeline.geometry.remeshing import MappedMesh
 from pipeline.geometry.sphere_map import area_distortion, area_ratios
 from pipeline.geometry.topology import polygon_areas
 

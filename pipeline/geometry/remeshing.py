@@ -1,7 +1,6 @@
 """Remeshing of surfaces into polygons of even size (paper 3.1.7)."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import torch
 from jaxtyping import Float, Int
@@ -9,25 +8,15 @@ from torch import Tensor
 
 from pipeline.errors import MeshError
 from pipeline.geometry.halves import border_loop, cut_half, divide, join_halves, split_chords
+from pipeline.geometry.mapped_mesh import MappedMesh, check_surface
 from pipeline.geometry.meshlab import isotropic_remeshing
 from pipeline.geometry.sphere_map import SphereMapConfig, map_to_sphere, solid_angles
 from pipeline.geometry.symmetry import is_symmetric, mirror_index
-from pipeline.geometry.topology import euler_characteristic, polygon_areas
+from pipeline.geometry.topology import polygon_areas
 from pipeline.ranges import Angle, Count, Positive
 
-SMALLEST_AREA = 1e-4
-"""Share of the squared diagonal below which there is no surface to speak of; a sphere has about 1."""
 GRID = 4
 """Parts into which the sides of a face are divided to find nearest points, which say on which side a face is."""
-
-
-class MappedMesh(NamedTuple):
-    """A closed mesh with a one-to-one map to the unit sphere, the domain of textures."""
-
-    vertices: Float[Tensor, "V 3"]
-    faces: Int[Tensor, "F 3"]
-    directions: Float[Tensor, "V 3"]
-    """Each vertex's point on the unit sphere."""
 
 
 @dataclass(frozen=True)
@@ -60,21 +49,6 @@ def remesh_isotropic(mesh: MappedMesh, isotropic: IsotropicConfig, sphere_map: S
     check_surface(remeshed)
     _require_one_to_one(remeshed)
     return remeshed
-
-
-def check_surface(mesh: MappedMesh) -> None:
-    """Raise MeshError unless the mesh is finite, closed, of genus 0 and more than a line or a point."""
-    if not (mesh.vertices.isfinite().all() and mesh.directions.isfinite().all()):
-        raise MeshError(
-            "the mesh has vertices that are not finite numbers: expected a base shape whose training converged"
-        )
-    if (characteristic := euler_characteristic(mesh.faces)) != 2:
-        raise MeshError(
-            f"the mesh has Euler characteristic {characteristic}, expected 2: one closed surface of genus 0"
-        )
-    diagonal = (mesh.vertices.amax(dim=0) - mesh.vertices.amin(dim=0)).norm()
-    if polygon_areas(mesh.vertices, mesh.faces).sum() <= SMALLEST_AREA * diagonal.square():
-        raise MeshError("the mesh has collapsed to a line or a point: expected a base shape whose training converged")
 
 
 def _require_one_to_one(mesh: MappedMesh) -> None:

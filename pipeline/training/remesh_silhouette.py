@@ -12,7 +12,7 @@ from tqdm import trange
 from pipeline.geometry.camera import Pose, level_pose, project
 from pipeline.geometry.compliance import compliance_matrix
 from pipeline.geometry.icosphere import icosphere
-from pipeline.geometry.remeshing import MappedMesh, check_surface
+from pipeline.geometry.mapped_mesh import MappedMesh, check_surface
 from pipeline.geometry.symmetry import is_symmetric, mirror_index, symmetrize
 from pipeline.geometry.topology import laplacian_matrix, polygon_areas
 from pipeline.ranges import Count, Natural, NonNegative, Positive

@@ -6,8 +6,8 @@ import torch
 from pipeline.errors import MeshError
 from pipeline.geometry.camera import CameraConfig
 from pipeline.geometry.icosphere import icosphere
+from pipeline.geometry.mapped_mesh import MappedMesh
 from pipeline.geometry.mesh_quality import area_variation, measure_remeshing
-from pipeline.geometry.remeshing import MappedMesh
 from pipeline.geometry.symmetry import mirror_index, reflect
 from pipeline.geometry.topology import polygon_areas
 from pipeline.geometry.voxels import voxelize

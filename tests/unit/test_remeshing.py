@@ -13,8 +13,9 @@ from torch import Tensor
 
 from pipeline.errors import MeshError
 from pipeline.geometry import remeshing
+from pipeline.geometry.mapped_mesh import MappedMesh
 from pipeline.geometry.mesh_quality import area_variation, measure_map, measure_remeshing, surface_distance
-from pipeline.geometry.remeshing import IsotropicConfig, MappedMesh, remesh_isotropic
+from pipeline.geometry.remeshing import IsotropicConfig, remesh_isotropic
 from pipeline.geometry.sphere_map import SphereMapConfig
 from pipeline.geometry.symmetry import mirror_index, reflect
 from pipeline.geometry.topology import euler_characteristic
@@ -186,7 +187,7 @@ def test_the_attempt_nearest_to_the_target_is_kept(monkeypatch: pytest.MonkeyPat
         return found
 
     monkeypatch.setattr(remeshing, "isotropic_remeshing", worse_at_last)
-    mesh = remeshing.MappedMesh(*deformed_sphere("car", 2))
+    mesh = MappedMesh(*deformed_sphere("car", 2))
     config = replace(ISOTROPIC, target_faces=400, attempts=3, iterations=3)
     found = remeshing.remesh_isotropic(mesh, config, replace(SPHERE_MAP, iterations=1))
     assert min(made, key=lambda count: abs(count - 200)) != made[2]
