@@ -18,7 +18,7 @@ from stages.command_line import parse, run
 
 
 def main() -> None:
-    """Keep others from the restart states meanwhile."""
+    """Fine-tune unless another call is using the same restart states."""
     arguments = parse(__doc__, images=Path, features=Path, model=Path, checkpoints=Path, out=Path, metrics=Path)
     with reserved(arguments.checkpoints):
         tune(arguments)

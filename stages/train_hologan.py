@@ -16,7 +16,7 @@ from stages.command_line import parse, run
 
 
 def main() -> None:
-    """Keep others from the restart states meanwhile."""
+    """Train unless another call is using the same restart states."""
     arguments = parse(__doc__, images=Path, seed=int, checkpoints=Path, out=Path, metrics=Path, curve=Path)
     with reserved(arguments.checkpoints):
         train(arguments)

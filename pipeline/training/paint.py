@@ -1,4 +1,8 @@
-"""What is paint in photographs, which says nothing of their azimuths: mean colours, and features but for it (ours)."""
+"""Keep the paint of objects out of what is read off photographs (ours).
+
+Colours say nothing of azimuths: they are described by themselves (`mean_colors`), to balance them, and features are
+measured in units of how much repainting changes them (`paintless_features`).
+"""
 
 import math
 
