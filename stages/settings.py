@@ -6,7 +6,9 @@ from typing import Any
 from pipeline.config import load, scalar
 from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.evaluation.evaluate import EvaluateConfig
+from pipeline.export.painting import PaintingConfig
 from pipeline.export.report import ReportConfig
+from pipeline.export.views import TurntableConfig
 from pipeline.launch import resolve_processes
 from pipeline.rows.entries import SHARED, require_chosen, settings_of
 from pipeline.training.base_shape import BaseShapeConfig
@@ -27,6 +29,8 @@ CONFIGS: dict[str, type[Any]] = {
     "report": ReportConfig,
 }
 """What the stages of a run, after its photographs are prepared, read of params.yaml."""
+_OF_MESHES: dict[str, type[Any]] = {"turntable": TurntableConfig, "paint": PaintingConfig}
+"""What `kato3d reconstruct` reads besides."""
 
 
 def require_settings(params: Path, row: str, size: str, ablation: str) -> None:
@@ -42,3 +46,5 @@ def require_settings(params: Path, row: str, size: str, ablation: str) -> None:
         resolve_processes(scalar(params, f"processes.{stage}"), device, parts=1)
     for stage, config in CONFIGS.items():
         load(params, config, settings_of(stage, row, size, ablation))
+    for section, config in _OF_MESHES.items():
+        load(params, config, [section])

@@ -20,7 +20,6 @@ from pipeline.networks.scene_generator import scene_tensors
 from pipeline.tensor_files import save_tensors
 from pipeline.training import ends
 from pipeline.training.base_shape import SeedTrainer, learn_base_shape
-from pipeline.training.candidates import Record
 from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.ends import consistent_axes
 from pipeline.training.features import FeatureTrainer
@@ -155,7 +154,7 @@ def _ends() -> dict[str, Tensor]:
     images, poses = photographs(80)
     config, extractor = replace(TRAINING, lessons=replace(TRAINING.lessons, iterations=1)), tiny_extractor()
     trainer = FullTrainer(config, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
-    trainer.records.best = Record(poses, trainer.records.best.shape)
+    trainer.records.best.pose.copy_(poses)
     trainer.records.visits += 1
     with patch.object(ends, "consistent_axes", _axes_of_a_device_that_rounds_differently):
         trainer.records.turn_round(replace(ENDS, side_reach=75.0, photographs=60))

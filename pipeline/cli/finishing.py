@@ -13,13 +13,14 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 from torch.nn import functional
 
-from pipeline.cli.outputs import Found, TurntableConfig, write_outputs
+from pipeline.cli.outputs import Found, write_outputs
 from pipeline.cli.photographs import Task
 from pipeline.datasets.decoding import Fit, decode, decode_up_to, reading
 from pipeline.errors import DataError
 from pipeline.export.painting import PaintingConfig, paint
 from pipeline.export.picture import write_png
 from pipeline.export.seam import Seam, cut_open
+from pipeline.export.views import TurntableConfig
 from pipeline.networks.full_model import FullModel
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 

@@ -1,7 +1,6 @@
 """What is written of a reconstructed photograph."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 from jaxtyping import Float
@@ -13,21 +12,10 @@ from pipeline.export.glb import write_glb
 from pipeline.export.obj import write_obj
 from pipeline.export.picture import enlarge, write_png
 from pipeline.export.seam import Seam
-from pipeline.export.views import ViewConfig, on_white, render_textured
+from pipeline.export.views import TurntableConfig, on_white, render_textured
 from pipeline.files import write_json
 from pipeline.geometry.camera import CameraConfig, Pose
-from pipeline.ranges import Frames
 from pipeline.rendering.renderer import Mesh
-
-
-@dataclass(frozen=True)
-class TurntableConfig:
-    """How reconstructed objects are drawn."""
-
-    frames: Frames
-    """Renderings in one turn."""
-    view: ViewConfig
-    """Size and elevation of renderings; reconstructions are enlarged to about the same size."""
 
 
 class Found(NamedTuple):

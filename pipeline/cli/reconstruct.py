@@ -15,7 +15,7 @@ from tqdm import tqdm
 
 from pipeline.cli.finishing import Picture, Reading, Writing, writing
 from pipeline.cli.gallery import write_gallery
-from pipeline.cli.outputs import Found, TurntableConfig
+from pipeline.cli.outputs import Found
 from pipeline.cli.photographs import RECORD, Target, Task, find_targets
 from pipeline.cli.runs import Run
 from pipeline.cli.workers import workers
@@ -27,6 +27,7 @@ from pipeline.device import resolve_precision
 from pipeline.errors import DataError
 from pipeline.export.animation import encoder
 from pipeline.export.painting import PaintingConfig
+from pipeline.export.views import TurntableConfig
 from pipeline.files import alone, read_json, sha256, write_json
 from pipeline.geometry.camera import Pose, pose_from_tensor
 from pipeline.networks.feature_extractor import FeatureExtractor, extract, load_feature_extractor
@@ -138,9 +139,10 @@ def _load_settings(run: Run) -> Settings:
 
 def _way(run: Run, settings: Settings, steps: Steps) -> dict[str, str | bool]:
     """Say how reconstructions are made, so that a folder holds those of one way alone."""
+    turntable = settings.turntable
     tuning = replace(settings.fine_tune, batch_size=1)  # which changes what comes out by rounding alone
     chosen = [*([tuning] if steps.fine_tune else []), *([settings.paint] if steps.paint else [])]
-    text = repr([settings.fit, settings.turntable, sha256(run.features), *chosen])
+    text = repr([settings.fit, turntable.frames, turntable.view, sha256(run.features), *chosen])
     return {"model": sha256(run.model), **steps._asdict(), "settings": hashlib.sha256(text.encode()).hexdigest()}
 
 

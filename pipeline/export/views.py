@@ -13,7 +13,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from pipeline.geometry.camera import CameraConfig, level_pose, project
-from pipeline.ranges import Count, Elevation
+from pipeline.ranges import Count, Elevation, Frames
 from pipeline.rendering.lighting import Light
 from pipeline.rendering.renderer import Mesh, RendererConfig, render
 
@@ -34,6 +34,16 @@ class ViewConfig:
     """Samples along each side of a pixel."""
     elevation: Elevation
     """Height angle of the camera in degrees."""
+
+
+@dataclass(frozen=True)
+class TurntableConfig:
+    """How `kato3d reconstruct` draws objects."""
+
+    frames: Frames
+    """Renderings in one turn."""
+    view: ViewConfig
+    """Size and elevation of renderings; reconstructions are enlarged to about the same size."""
 
 
 def render_clay(

@@ -15,7 +15,7 @@ _SETTINGS = (
     *("prepare_data", "train_features", "learn_base_shape", "evaluate_base_shape", "remesh", "train_full", "fine_tune"),
     *("evaluate", "report", "turntable", "paint", "train_hologan", "evaluate_colmap"),
 )
-"""Sections of stages' settings, and of painting's."""
+"""Sections of stages' settings, and of those of `kato3d reconstruct`."""
 SHARED = ("train_features", "learn_base_shape", "train_full")
 """Stages whose work several processes can share."""
 _LEARNED = ("size", "seed", "dataset", "category", "features")

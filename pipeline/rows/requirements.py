@@ -36,8 +36,11 @@ def require_change(path: Path, document: CommentedMap, options: Options) -> None
             )
 
 
-def pictures(path: Path, options: Options) -> tuple[int, Framing]:
-    """Return the size of a run's pictures, at which every part of it can work, and how objects are framed in them."""
+def require_picture_size(path: Path, options: Options) -> tuple[int, Framing]:
+    """Return the size of a run's pictures, and how objects are framed in them.
+
+    Refuse a size that is no multiple of that of base-shape learning.
+    """
     base = load(path, BaseShapeConfig, options.sections("learn_base_shape"))
     size = options.full_training(path).model.renderer.size
     if size % base.renderer.size and options.base_shape is None and options.baseline is None:

@@ -19,7 +19,12 @@ from pipeline.rows.datasets import EMBEDDED, require_category, turn_on_dataset
 from pipeline.rows.entries import NAMES, require_chosen, require_whole_entries
 from pipeline.rows.options import BASELINES, Options
 from pipeline.rows.params_file import put, round_trip_yaml
-from pipeline.rows.requirements import pictures, require_base_shape, require_change, require_parts_of_baseline
+from pipeline.rows.requirements import (
+    require_base_shape,
+    require_change,
+    require_parts_of_baseline,
+    require_picture_size,
+)
 from pipeline.training.features import FeaturesConfig
 
 SWITCHES = ("datasets", "features", "base_shapes", "runs", *BASELINES)
@@ -50,7 +55,7 @@ def turn_on(path: Path, options: Options) -> str:
         raise ConfigError(f"SEED is {options.seed}; expected 0 or a greater number")
     require_change(path, document, options)
     require_base_shape(path, document, options)
-    size, framing = pictures(path, options)
+    size, framing = require_picture_size(path, options)
     require_parts_of_baseline(path, options, size)
     dataset, category = _turn_on_photographs(document, options, size, framing)
     if "features" in NAMES[options.baseline or "runs"]:

@@ -1,17 +1,18 @@
 """Make votes for the azimuths of photographs consistent with each other (ours).
 
-Votes tell an object's axis well, but hardly its front from its rear. In each of a few rounds:
+Votes tell an object's axis well, but hardly its front from its rear. They are turned into probabilities in which
+opposite azimuths are balanced. Then, in each of a few rounds:
 
-1. A linear regression from features to azimuths is fitted to the votes on some photographs, and judges the others.
-2. Judgements of opposite azimuths are balanced.
-3. What comes of it replaces the votes.
+1. A linear regression from features to the probabilities is fitted on some photographs, and judges the others.
+2. Its judgements, balanced as the votes were, replace the probabilities.
 
 A regression that has to explain so faint a signal as the ends takes what it finds: white cars would drive forwards and
 dark ones away. Paint says nothing of azimuths, so features are measured in units of how much repainting changes them,
 and opposite azimuths get photographs of the same mean colours. How many photographs share an axis stays as the votes
 say (horses show their sides); were it free, azimuths would gather in clusters. How many of these show the front is free
 within bounds: opposite azimuths have the same mean score, and neither gets less of their axis's probability than
-`smaller_end`, or one end might take all photographs. Both means are those of an azimuth and of its mirror image.
+`smaller_end`, or one end might take all photographs. Both means are those of an azimuth and of its mirror image
+together.
 
 Azimuths are bins of the circle: row i of `N azimuths` is a photograph's distribution over them.
 """

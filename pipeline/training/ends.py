@@ -12,11 +12,11 @@ nothing of build and paint:
 
    - Both ends are shown equally often. Then slants say nothing of the way objects face, and the split spreads from the
      sides to ever more oblique views.
-   - Mostly one end is shown, as people show the fronts of cars. The ends recorded at oblique views are builds then, and
-     it is right more often to take all of them for the preferred end, the one that most views along the axis are
-     recorded with. The two halves of the side views face as most of them are recorded; oblique views cannot tell,
-     because the nearer end looks taller there, which the taller end of a shape explains as well. Records of views along
-     the axis, of rears too, nearly all name the blunter end, so this is right for objects whose front is blunter.
+   - Mostly one end is shown, as people show the fronts of cars. It is the end that most views along the axis are
+     recorded with; nearly all of these, rears too, name the blunter end, so this is right for objects whose front is
+     blunter. What oblique views are recorded with follows the object's build, and to take all of them for the preferred
+     end is right more often. The two halves of the side views face as most of them are recorded; oblique views cannot
+     tell, because the nearer end looks taller there, which the taller end of a shape explains as well.
 
 6. A last regression from all features to the azimuths that follow judges every photograph, views along the axis too:
    among photographs whose ends were told by the way they face, builds are the same at both.
@@ -59,8 +59,8 @@ class EndsConfig:
     shown: Literal["equally", "mostly_one"]
     """How often photographs show one end and the other."""
     after: tuple[Annotated[float, Range(0, 1, open_low=True)], ...]
-    """Parts of full training's iterations before every time, above 0; 1 is right before the last lessons. Where there
-    are none, ends stay as they are recorded."""
+    """When ends are told: after these parts of full training's iterations, each above 0; 1 is right before the last
+    lessons. Where there are none, ends stay as they are recorded."""
     box_size: Positive
     """Longer side of the object's box over the side of a cut picture."""
     components: Count
@@ -150,7 +150,7 @@ class OddViews(NamedTuple):
     """What else is known of a picture: slant times elevation, and roll."""
 
     def within(self, degrees: float) -> Bool[Tensor, " N"]:
-        """Tell which slants are no larger, either way."""
+        """Tell which views are turned from a side view by at most so many degrees, either way."""
         return self.slant.abs() <= math.radians(degrees)
 
 
@@ -160,7 +160,11 @@ def odd_views(
     coordinates: Float[Tensor, "N 7"],
     poses: PoseCoordinates,
 ) -> OddViews:
-    """Return the odd part of features of photographs and of their mirror images, which have these azimuths."""
+    """Return what changes its sign in the mirror.
+
+    `features` are of photographs and of their mirror images, `turn` holds cosines and sines of the photographs'
+    azimuths, `coordinates` their poses.
+    """
     sign = torch.where(turn[:, 1:] < 0, -1, 1)
     slant = -turn[:, 0].asin()
     others = torch.cat([slant[:, None] * coordinates[:, 2:3], sign * poses.roll(coordinates)[:, None]], 1)
@@ -170,8 +174,9 @@ def odd_views(
 def facing(views: OddViews, config: EndsConfig, rng: torch.Generator) -> Float[Tensor, " N"]:
     """Split objects by the way they face, from -1 to 1, up to a common sign.
 
-    What is left without the slant is split by its leading component at the sides, and from there by its mean over those
-    already split, which changes smoothly with the slant, each time for photographs of the other folds.
+    What is left of the odd features once slants are taken off is split by its leading component at the sides, and from
+    there by its mean over those already split, which changes smoothly with the slant, each time for photographs of the
+    other folds.
     """
     rest, slant = without_slant(views), views.slant
     turns = (2 * slant[:, None] * torch.arange(_FACING_HARMONICS, device=slant.device)).cos()

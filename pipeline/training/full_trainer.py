@@ -87,7 +87,7 @@ class FullTrainingConfig:
                 if value:
                     raise ConfigError(
                         f"train_full.{name} is for mirror-symmetric objects, but train_full.model.shape.mirror is "
-                        "false; expected nothing there, as in the ablation no-symmetry"
+                        "false; expected null, [] or 0, as in the ablation no-symmetry"
                     )
 
     @property

@@ -1,7 +1,7 @@
 """Keep the paint of objects out of what is read off photographs (ours).
 
-Colours say nothing of azimuths: they are described by themselves (`mean_colors`), to balance them, and features are
-measured in units of how much repainting changes them (`paintless_features`).
+Colours say nothing of azimuths. `mean_colors` describes them, so that opposite azimuths can be given photographs of the
+same colours; `paintless_features` measures features in units of how much repainting changes them.
 """
 
 import math

@@ -25,7 +25,10 @@ _CHUNK = 10_000
 
 
 class Records:
-    """Hold the best poses and shapes of all photographs, revise the poses, and teach them to the pose networks."""
+    """Hold the best poses and shapes of all photographs, revise the poses, and teach them to the pose networks.
+
+    Tensors are changed in place, never replaced: recorded GPU steps hold them.
+    """
 
     def __init__(
         self, model: FullModel, photographs: Photographs, lessons: LessonsConfig, rng: torch.Generator
@@ -37,7 +40,7 @@ class Records:
         """How often each photograph was in a batch."""
 
     def keep(self, index: Int[Tensor, " B"], found: Record) -> None:
-        """Record what was found for a batch, each process for its share of it."""
+        """Record what was found for a batch, `found` being this process's share of it."""
         self.best.pose[index], self.best.shape[index] = gather(found.pose), gather(found.shape)
         self.visits[index] += 1
 
@@ -54,7 +57,7 @@ class Records:
         self.best.pose[: len(poses)] = poses
 
     def _teach_first_poses(self, config: FirstPosesConfig) -> None:
-        """Teach the first poses, and record what the networks then read off the photographs beyond the first."""
+        """Teach the first poses, and record what the networks then read off all other photographs."""
         count = min(config.photographs, len(self.visits))
         self._teach(torch.arange(count, device=self.visits.device))
         if count < len(self.visits):
@@ -97,7 +100,7 @@ class Records:
         learn_poses(self.model, self.photographs.images, index, self.best.pose[index], self.lessons, self.rng)
 
     def _read(self, first: int = 0) -> Float[Tensor, "_ 7"]:
-        """Return what the networks read off the photographs from some one on, in all processes the same."""
+        """Return what the networks read off the photographs from number `first` on; the same in all processes."""
         read = read_all_poses(self.model, self.photographs.images, first)
         agree([read])
         return read

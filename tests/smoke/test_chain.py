@@ -94,7 +94,8 @@ def kill(project: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[s
         finished = subprocess.run(command, cwd=project, env=environment(), capture_output=True, text=True, check=False)
         assert finished.returncode == -signal.SIGKILL or "(SIGKILL)" in finished.stderr, finished.stderr
         assert [path.name for path in folder.iterdir()] == ["checkpoints"]
-        assert ("1" if divides else "checkpoints") in {path.parent.name for path in folder.rglob(".partial-state*")}
+        partial = [path.name for path in (folder / "checkpoints").glob(".partial-state*")]
+        assert ".partial-state-1.safetensors" in partial if divides else partial
         return folder
 
     return kill

@@ -27,14 +27,14 @@ from pipeline.cli import doctor
 from pipeline.cli import reconstruct as reconstruction
 from pipeline.cli.__main__ import main
 from pipeline.cli.finishing import Reading, writing
-from pipeline.cli.outputs import Found, TurntableConfig
+from pipeline.cli.outputs import Found
 from pipeline.cli.photographs import RECORD, Target, Task, list_tasks
 from pipeline.cli.reconstruct import Settings, Steps, _way
 from pipeline.cli.runs import Run
 from pipeline.datasets.decoding import Fit, decode
 from pipeline.errors import DataError
 from pipeline.export.animation import write_gif, write_mp4
-from pipeline.export.views import ViewConfig, on_white, render_textured
+from pipeline.export.views import TurntableConfig, ViewConfig, on_white, render_textured
 from pipeline.files import alone
 from pipeline.geometry.camera import CameraConfig, pose_to_tensor
 from pipeline.networks.feature_extractor import extract, load_feature_extractor, save_feature_extractor

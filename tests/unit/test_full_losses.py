@@ -1,7 +1,7 @@
 """The terms of full training's loss: how they are weighed, and which networks learn from them."""
 
 from dataclasses import fields, replace
-from typing import Literal
+from typing import Any, Literal
 from unittest.mock import patch
 
 import pytest
@@ -20,7 +20,7 @@ from pipeline.training.candidates import Record
 from pipeline.training.exploration import Best
 from pipeline.training.full_trainer import FullTrainer
 from pipeline.training.photographs import Photographs
-from tests.tiny_full_model import TRAINING, base_mesh, exact_regression, photographs, tiny_extractor
+from tests.tiny_full_model import ENDS, TRAINING, base_mesh, exact_regression, photographs, tiny_extractor
 
 UNWEIGHTED = replace(
     TRAINING.loss,
@@ -171,14 +171,20 @@ def test_the_discriminators_scores_do_not_grow_with_its_convolutions() -> None:
     torch.testing.assert_close(discriminator(images, views), before)
 
 
-@pytest.mark.parametrize("changes", [{}, {"first_poses": None}])
-def test_what_is_for_mirror_symmetric_objects_is_refused_for_others(changes: dict[str, object]) -> None:
+@pytest.mark.parametrize(
+    ("setting", "used"),
+    [
+        ("first_poses", {"first_poses": TRAINING.first_poses}),
+        (r"ends\.after", {"ends": replace(ENDS, after=(0.5,))}),
+        (r"loss\.mirrored_regression", {"loss": TRAINING.loss}),
+    ],
+)
+def test_what_is_for_mirror_symmetric_objects_is_refused_for_others(setting: str, used: dict[str, Any]) -> None:
     shape = replace(TRAINING.model.shape, mirror=False, base_learning=None)
-    model = replace(TRAINING.model, shape=shape)
-    with pytest.raises(ConfigError, match=r"is for mirror-symmetric objects, but train_full\.model\.shape\.mirror is"):
-        replace(TRAINING, model=model, **changes)
-    loss = replace(TRAINING.loss, mirrored_regression=0.0)
-    replace(TRAINING, model=model, first_poses=None, loss=loss)
+    unused = {"first_poses": None, "ends": ENDS, "loss": replace(TRAINING.loss, mirrored_regression=0.0)}
+    without = replace(TRAINING, model=replace(TRAINING.model, shape=shape), **unused)
+    with pytest.raises(ConfigError, match=rf"train_full\.{setting} is for mirror-symmetric objects"):
+        replace(without, **used)
 
 
 def learns(network: nn.Module) -> bool:

@@ -566,6 +566,8 @@ def test_a_category_that_the_photographs_have_not_changes_nothing(
         ("precision: auto", "precision: float16", "precision is 'float16'; expected auto, float32 or bfloat16"),
         ("memory: 8", "memory: -8", "memory is -8; expected a number of GiB above 0"),
         ("train_full: auto", "train_full: 0", "processes of a stage are 0; expected auto or a whole number from 1"),
+        ("frames: 24", "frames: 0", "turntable.frames' is 0; expected a whole number"),
+        ("photograph_size: 128", "photograph_sizes: 128", "paint.photograph_sizes'; did you mean 'photograph_size'"),
     ],
 )
 def test_settings_of_late_stages_are_looked_at_early(params: Path, old: str, new: str, message: str) -> None:
