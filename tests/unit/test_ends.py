@@ -10,23 +10,11 @@ from torch import Tensor
 from pipeline.seeding import generator
 from pipeline.training import ends
 from pipeline.training.candidates import flipped
-from pipeline.training.ends import EndsConfig, OddViews, consistent_axes, facing, facing_with_preferred_end, tell_ends
+from pipeline.training.ends import OddViews, consistent_axes, facing, facing_with_preferred_end, tell_ends
 from pipeline.training.first_poses import cut_to_box
-from tests.tiny_full_model import MODEL, photographs_of, tiny_extractor, tiny_model
+from tests.tiny_full_model import ENDS, MODEL, photographs_of, tiny_extractor, tiny_model
 
-CONFIG = EndsConfig(
-    shown="equally",
-    after=(0.5,),
-    box_size=0.85,
-    components=32,
-    repainting_floor=0.3,
-    consistency=2.0,
-    side_reach=22.0,
-    rounds=10,
-    ridge=4.0,
-    folds=5,
-    photographs=1000,
-)
+CONFIG = replace(ENDS, components=32, side_reach=22.0, rounds=10, folds=5)
 COUNT = 400
 
 
