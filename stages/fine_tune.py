@@ -5,9 +5,8 @@ from pathlib import Path
 
 from torch import Tensor
 
-from pipeline.config import load, scalar
+from pipeline.config import load
 from pipeline.datasets.images import load_images, place_images
-from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.files import write_json
 from pipeline.networks.feature_extractor import load_feature_extractor
 from pipeline.networks.full_model import load_full_model
@@ -15,6 +14,7 @@ from pipeline.tensor_files import save_tensors
 from pipeline.training.checkpoint import Checkpoint, reserved, restart_key
 from pipeline.training.fine_tune import FineTuneConfig, fine_tune
 from stages.command_line import parse, run
+from stages.machine import load_machine
 
 
 def main() -> None:
@@ -27,9 +27,7 @@ def main() -> None:
 def tune(arguments: Namespace) -> None:
     """Reconstruct the test photographs, fine-tune each reconstruction, and write both with their losses."""
     config = load(arguments.params, FineTuneConfig, arguments.sections)
-    device = resolve_device(scalar(arguments.params, "device"))
-    memory = resolve_memory(scalar(arguments.params, "memory"))
-    precision = resolve_precision(scalar(arguments.params, "precision"), device)
+    device, precision, memory = load_machine(arguments.params)
     inputs = [arguments.images, arguments.features, arguments.model]
     checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, None, device, precision))
     results = fine_tune(

@@ -3,11 +3,8 @@
 from argparse import Namespace
 from pathlib import Path
 
-import torch
-
 from pipeline.config import load, scalar
 from pipeline.datasets.images import load_images_to_reduce, place_images
-from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.distributed import is_first
 from pipeline.files import write_json
 from pipeline.launch import resolve_processes, share_work
@@ -18,23 +15,23 @@ from pipeline.training.base_shape import BaseShapeConfig, BaseShapes, learn_base
 from pipeline.training.checkpoint import Checkpoint, reserved, restart_key
 from pipeline.training.photographs import Photographs
 from stages.command_line import parse, run
+from stages.machine import Machine, load_machine
 
 
 def main() -> None:
     """Learn in as many processes as the parameters say."""
     paths = dict.fromkeys(["images", "features", "checkpoints", "out", "metrics", "curve"], Path)
     arguments = parse(__doc__, **paths, seed=int)
-    device = resolve_device(scalar(arguments.params, "device"))
     config = load(arguments.params, BaseShapeConfig, arguments.sections)
-    processes = resolve_processes(scalar(arguments.params, "processes.learn_base_shape"), device, config.seeds)
+    machine = load_machine(arguments.params)
+    processes = resolve_processes(scalar(arguments.params, "processes.learn_base_shape"), machine.device, config.seeds)
     with reserved(arguments.checkpoints):
-        share_work(processes, device, learn, config, arguments, device)
+        share_work(processes, machine.device, learn, config, arguments, machine)
 
 
-def learn(config: BaseShapeConfig, arguments: Namespace, device: torch.device) -> None:
+def learn(config: BaseShapeConfig, arguments: Namespace, machine: Machine) -> None:
     """Learn every seed's shape, then write all of them with their generators."""
-    memory, size = resolve_memory(scalar(arguments.params, "memory")), config.renderer.size
-    precision = resolve_precision(scalar(arguments.params, "precision"), device)
+    (device, precision, memory), size = machine, config.renderer.size
     key = restart_key(config, [arguments.images, arguments.features], arguments.seed, device, precision)
     checkpoint = Checkpoint(arguments.checkpoints, key)
     images = place_images([load_images_to_reduce(arguments.images, size)], device, memory, size)

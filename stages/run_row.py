@@ -28,7 +28,7 @@ def main() -> None:
     parser.add_argument("--base_shape", help="another run's base shape to train around, an entry of `base_shapes`")
     parser.add_argument("--baseline", choices=BASELINES, help="measure this on the same photographs instead")
     options = Options(**vars(parser.parse_args()))
-    require_settings(PARAMS, options.row, options.size, options.ablation)
+    require_settings(PARAMS, options)
     name = turn_on(PARAMS, options)
     stage = f"evaluate_{options.baseline}" if options.baseline else "report"
     # In this process's place, so that Ctrl-C reaches DVC alone, which waits for its stage and releases its lock.

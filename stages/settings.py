@@ -1,21 +1,24 @@
-"""Settings of all stages of a run: looked at before its first stage starts, not hours later."""
+"""Settings of all stages of a run or baseline: looked at before the first one starts, not hours later."""
 
 from pathlib import Path
 from typing import Any
 
 from pipeline.config import load, scalar
-from pipeline.device import resolve_device, resolve_memory, resolve_precision
+from pipeline.evaluation.colmap import ColmapConfig
 from pipeline.evaluation.evaluate import EvaluateConfig
 from pipeline.export.painting import PaintingConfig
 from pipeline.export.report import ReportConfig
 from pipeline.export.views import TurntableConfig
 from pipeline.launch import resolve_processes
-from pipeline.rows.entries import SHARED, require_chosen, settings_of
+from pipeline.rows.entries import SHARED, require_chosen
+from pipeline.rows.options import Options
 from pipeline.training.base_shape import BaseShapeConfig
 from pipeline.training.features import FeaturesConfig
 from pipeline.training.fine_tune import FineTuneConfig
 from pipeline.training.full_trainer import FullTrainingConfig
+from pipeline.training.hologan import HoloGANTrainingConfig
 from stages.evaluate_base_shape import EvaluateBaseShapeConfig
+from stages.machine import load_machine
 from stages.remesh import RemeshConfig
 
 CONFIGS: dict[str, type[Any]] = {
@@ -31,20 +34,26 @@ CONFIGS: dict[str, type[Any]] = {
 """What the stages of a run, after its photographs are prepared, read of params.yaml."""
 _OF_MESHES: dict[str, type[Any]] = {"turntable": TurntableConfig, "paint": PaintingConfig}
 """What `kato3d reconstruct` reads besides."""
+_OF_BASELINES: dict[str, dict[str, type[Any]]] = {
+    "hologan": {
+        "train_features": FeaturesConfig,
+        "train_hologan": HoloGANTrainingConfig,
+        "evaluate": EvaluateConfig,
+    },
+    "colmap": {"evaluate_colmap": ColmapConfig},
+}
+"""What the stages of a baseline read, after its photographs are prepared."""
 
 
-def require_settings(params: Path, row: str, size: str, ablation: str) -> None:
+def require_settings(params: Path, options: Options) -> None:
     """Raise ConfigError where a stage of such a run would, for a setting that is unknown, missing or out of range.
 
     So it does for a row, size or ablation that does not exist.
     """
-    require_chosen(params, row, size, ablation)
-    device = resolve_device(scalar(params, "device"))
-    resolve_precision(scalar(params, "precision"), device)
-    resolve_memory(scalar(params, "memory"))
+    require_chosen(params, options.row, options.size, options.ablation)
+    device = load_machine(params).device
     for stage in SHARED:
         resolve_processes(scalar(params, f"processes.{stage}"), device, parts=1)
-    for stage, config in CONFIGS.items():
-        load(params, config, settings_of(stage, row, size, ablation))
-    for section, config in _OF_MESHES.items():
-        load(params, config, [section])
+    configs = CONFIGS | _OF_MESHES if options.baseline is None else _OF_BASELINES[options.baseline]
+    for stage, config in configs.items():
+        load(params, config, options.sections(stage))

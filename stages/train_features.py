@@ -3,11 +3,8 @@
 from argparse import Namespace
 from pathlib import Path
 
-import torch
-
 from pipeline.config import load, scalar
 from pipeline.datasets.images import placed_bytes
-from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.distributed import is_first
 from pipeline.files import write_json
 from pipeline.launch import resolve_processes, share_work
@@ -24,23 +21,23 @@ from pipeline.training.features import (
 )
 from pipeline.training.pretrained import adopt
 from stages.command_line import parse, run
+from stages.machine import Machine, load_machine
 
 
 def main() -> None:
     """Train in as many processes as the parameters say."""
     paths = dict.fromkeys(["images", "test_images", "initial", "checkpoints", "out", "metrics", "curve"], Path)
     arguments = parse(__doc__, **paths, seed=int)
-    device = resolve_device(scalar(arguments.params, "device"))
-    processes = resolve_processes(scalar(arguments.params, "processes.train_features"), device, parts=1)
+    machine = load_machine(arguments.params)
+    processes = resolve_processes(scalar(arguments.params, "processes.train_features"), machine.device, parts=1)
     with reserved(arguments.checkpoints):
-        share_work(processes, device, train, arguments, device)
+        share_work(processes, machine.device, train, arguments, machine)
 
 
-def train(arguments: Namespace, device: torch.device) -> None:
+def train(arguments: Namespace, machine: Machine) -> None:
     """Train on every category of the data set; write the weights, the figures they reach and the curve."""
     config = load(arguments.params, FeaturesConfig, arguments.sections)
-    memory = resolve_memory(scalar(arguments.params, "memory"))
-    precision = resolve_precision(scalar(arguments.params, "precision"), device)
+    device, precision, memory = machine
     categories = list_categories(arguments.images)
     pictures = load_pictures(arguments.images, categories, device, memory)
     metadata = {"categories": " ".join(categories), "method": config.method}

@@ -3,11 +3,8 @@
 from argparse import Namespace
 from pathlib import Path
 
-import torch
-
 from pipeline.config import load, scalar
 from pipeline.datasets.images import load_images_of_size, place_images
-from pipeline.device import resolve_device, resolve_memory, resolve_precision
 from pipeline.distributed import is_first
 from pipeline.files import write_json
 from pipeline.geometry.camera import pose_to_tensor
@@ -20,23 +17,23 @@ from pipeline.training.full import load_base, train_full
 from pipeline.training.full_trainer import FullTrainer, FullTrainingConfig
 from pipeline.training.photographs import Photographs
 from stages.command_line import parse, run
+from stages.machine import Machine, load_machine
 
 
 def main() -> None:
     """Train in as many processes as the parameters say."""
     paths = dict.fromkeys(["images", "features", "base_shape", "mesh", "checkpoints", "out", "metrics", "curve"], Path)
     arguments = parse(__doc__, **paths, seed=int)
-    device = resolve_device(scalar(arguments.params, "device"))
-    processes = resolve_processes(scalar(arguments.params, "processes.train_full"), device, parts=1)
+    machine = load_machine(arguments.params)
+    processes = resolve_processes(scalar(arguments.params, "processes.train_full"), machine.device, parts=1)
     with reserved(arguments.checkpoints):
-        share_work(processes, device, train, arguments, device)
+        share_work(processes, machine.device, train, arguments, machine)
 
 
-def train(arguments: Namespace, device: torch.device) -> None:
+def train(arguments: Namespace, machine: Machine) -> None:
     """Train around the base mesh, then write the model, the recorded best poses, and the curve."""
     config = load(arguments.params, FullTrainingConfig, arguments.sections)
-    memory = resolve_memory(scalar(arguments.params, "memory"))
-    precision = resolve_precision(scalar(arguments.params, "precision"), device)
+    device, precision, memory = machine
     inputs = [arguments.images, arguments.features, arguments.base_shape, arguments.mesh]
     checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed, device, precision))
     images = place_images([load_images_of_size(arguments.images, config.model.renderer.size)], device, memory)

@@ -34,7 +34,7 @@ INTRODUCTION = (
     "pose that suits the training split best, retrieved the training photograph whose colours are most alike."
 )
 
-Figure = Mapping[str, Any]
+Cell = Mapping[str, Any]
 """A value with its standard error and n, which some figures lack."""
 
 
@@ -51,7 +51,7 @@ class MeasuredRun(NamedTuple):
         own, around, base_shape = self.name.partition("-around-")
         return re.sub(r"-seed\d+(?=(-hologan|-colmap)?$)", "", own) + around + base_shape
 
-    def by_name(self) -> Mapping[str, Figure]:
+    def by_name(self) -> Mapping[str, Cell]:
         """Return the figures by their dotted names."""
         rows = figure_rows(self.figures)
         return {label: {"value": value, "standard_error": error, "n": n} for label, value, error, n in rows}
@@ -81,23 +81,23 @@ def _link(run: MeasuredRun) -> str:
     return f'<a href="{escape(run.address, quote=True)}">{escape(run.name)}</a>'
 
 
-def _measured(run: MeasuredRun) -> list[Figure | None]:
+def _measured(run: MeasuredRun) -> list[Cell | None]:
     """Look the columns up among a run's figures."""
     found = run.by_name()
     return [found.get(label) for label, _ in COLUMNS.values()]
 
 
-def _cells(figures: Sequence[Figure | None]) -> list[str]:
+def _cells(figures: Sequence[Cell | None]) -> list[str]:
     digits = (digits for _, digits in COLUMNS.values())
     return [figure_cell(figure, digits=count) for figure, count in zip(figures, digits, strict=True)]
 
 
-def _count(figures: Sequence[Figure | None]) -> str:
+def _count(figures: Sequence[Cell | None]) -> str:
     """Say how many pictures were measured."""
     return str(next((figure["n"] for figure in figures if figure is not None), "–"))
 
 
-def _over_seeds(figures: Sequence[Sequence[Figure | None]]) -> list[Figure | None]:
+def _over_seeds(figures: Sequence[Sequence[Cell | None]]) -> list[Cell | None]:
     """Return mean and standard deviation of each column that all seeds have."""
     columns = []
     for column in zip(*figures, strict=True):

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pipeline.evaluation.tables import read_table
-from pipeline.export.runs_page import Figure, MeasuredRun
+from pipeline.export.runs_page import Cell, MeasuredRun
 from pipeline.files import read_json
 from tests.project.import_closure import ROOT
 
@@ -45,8 +45,8 @@ class Table(NamedTuple):
                 cells = [_cell([run[key] for run in runs if key in run]) for key in self.columns.values()]
                 yield [f"`{name}`", str(len(runs)), ", ".join(counts), *cells]
 
-    def _seeds(self, results: Path) -> dict[str, list[Mapping[str, Figure]]]:
-        seeds: defaultdict[str, list[Mapping[str, Figure]]] = defaultdict(list)
+    def _seeds(self, results: Path) -> dict[str, list[Mapping[str, Cell]]]:
+        seeds: defaultdict[str, list[Mapping[str, Cell]]] = defaultdict(list)
         for path in sorted((results / "metrics" / self.folder).glob("*.json")):
             run = MeasuredRun(path.stem, None, read_json(path))
             if re.fullmatch(self.runs, run.experiment):
@@ -242,7 +242,7 @@ def render(table: Table | Confusion, results: Path) -> str:
     return "".join(f"| {' | '.join(row)} |\n" for row in [heading, ["---"] * len(heading), *rows])
 
 
-def _cell(found: list[Figure]) -> str:
+def _cell(found: list[Cell]) -> str:
     if not found:
         return "–"
     values = [figure["value"] for figure in found]

@@ -12,6 +12,7 @@ from pipeline.cli.measured_runs import measured_runs
 from pipeline.cli.runs import Run, photographs_file, truth_folder
 from pipeline.files import write_json
 from pipeline.rows.entries import settings_of
+from stages.machine import Machine
 from stages.settings import CONFIGS
 from tests.project.import_closure import ROOT, TRAINING, code_dependencies, import_closure, stage_bodies
 
@@ -61,6 +62,8 @@ def test_parameters_are_the_sections_read(stage: str) -> None:
         name.replace("{arguments.", "${item.")
         for name in re.findall(r'scalar\(arguments\.params, f?"([\w.{}]+)"\)', script)
     ]
+    if "load_machine(arguments.params)" in script:
+        scalars += Machine._fields
     sections = [section.replace("{", "${") for section in _options(stage)["--sections"]]
     assert sorted(STAGES[stage]["params"]) == sorted(sections + scalars)
 

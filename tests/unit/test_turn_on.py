@@ -571,13 +571,29 @@ def test_a_category_that_the_photographs_have_not_changes_nothing(
     ],
 )
 def test_settings_of_late_stages_are_looked_at_early(params: Path, old: str, new: str, message: str) -> None:
-    usual = ("toybox-car", "laptop", "none")
-    require_settings(params, *usual)
+    usual = Options("toybox-car")
+    require_settings(params, usual)
     text = params.read_text(encoding="utf-8")
     assert old in text
     params.write_text(text.replace(old, new), encoding="utf-8")
     with pytest.raises(ConfigError, match=message):
-        require_settings(params, *usual)
+        require_settings(params, usual)
+
+
+@pytest.mark.parametrize(
+    ("baseline", "old", "message"),
+    [
+        ("colmap", "enlargement", "evaluate_colmap.enlargements'; did you mean 'enlargement'"),
+        ("hologan", "generator_steps", "train_hologan.generator_stepss'; did you mean 'generator_steps'"),
+    ],
+)
+def test_of_settings_a_baseline_needs_its_own(params: Path, baseline: str, old: str, message: str) -> None:
+    text = params.read_text(encoding="utf-8").replace("\nfine_tune:\n", "\nfine_tune:\n  step: 3\n")
+    params.write_text(text, encoding="utf-8")
+    require_settings(params, Options("toybox-car", baseline=baseline))
+    params.write_text(text.replace(f"{old}:", f"{old}s:"), encoding="utf-8")
+    with pytest.raises(ConfigError, match=message):
+        require_settings(params, Options("toybox-car", baseline=baseline))
 
 
 def test_a_run_that_cannot_end_is_not_turned_on(params: Path, monkeypatch: pytest.MonkeyPatch) -> None:
