@@ -41,8 +41,8 @@ def subdivide(
 def icosphere(subdivisions: int) -> tuple[Float[Tensor, "V 3"], Int[Tensor, "F 3"]]:
     """Return a unit icosphere with 10 * 4**subdivisions + 2 vertices, exactly mirror-symmetric about x = 0.
 
-    Vertices are float32, faces int64 and counter-clockwise seen from outside. The paper uses three subdivisions
-    (642 vertices, 1280 faces).
+    Vertices are float32, faces int64 and counter-clockwise seen from outside. Base shapes have three
+    subdivisions (642 vertices, 1280 faces).
     """
     vertices, faces = icosahedron()
     for _ in range(subdivisions):
