@@ -35,7 +35,7 @@ repro: $(STAMP)  ## run the pipeline: by default the toybox car, from pictures t
 
 install: $(STAMP)  ## set up the environment alone
 
-run: $(if $(filter BASELINE,$(OPTIONS)),$(TOOLS),$(STAMP))  ## add a run to params.yaml and run it: ROW= SIZE=laptop|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASE_SHAPE= BASELINE=
+run: $(if $(filter BASELINE,$(OPTIONS)),$(TOOLS),$(STAMP))  ## add a run to params.yaml and run it: ROW=, and if you like (README.md) SIZE=laptop|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASE_SHAPE= BASELINE=
 	@python -m stages.run_row $(foreach option,$(OPTIONS),--$(shell echo $(option) | tr A-Z a-z)="$$$(option)")
 
 test: $(TOOLS)  ## the whole test suite

@@ -110,7 +110,7 @@ def _add_arrange(add: Callable[..., ArgumentParser]) -> None:
     arrange = add("arrange", "bring a folder of photographs into the form to learn from")
     arrange.add_argument("folder", type=Path, metavar="FOLDER", help="photographs of one category, at any depth")
     arrange.add_argument("--category", required=True, help="what they show, such as ship")
-    arrange.add_argument("--out", type=Path, required=True, help="folder to write, the SOURCE of make run")
+    arrange.add_argument("--out", type=Path, required=True, help="new folder to write, the SOURCE of make run")
     arrange.add_argument(
         "--least-side",
         type=_positive,

@@ -42,8 +42,7 @@ class Run:
     def _written(self, path: Path) -> Path:
         if not path.is_file():
             raise DataError(
-                f"{path} does not exist; make it with `make repro`, which brings all runs up to date; or name another "
-                "run"
+                f"{path} does not exist; make it with `make repro`, which brings all runs up to date"
             )
         return path
 
