@@ -41,9 +41,7 @@ class Run:
 
     def _written(self, path: Path) -> Path:
         if not path.is_file():
-            raise DataError(
-                f"{path} does not exist; make it with `make repro`, which brings all runs up to date"
-            )
+            raise DataError(f"{path} does not exist; make it with `make repro`, which brings all runs up to date")
         return path
 
 
