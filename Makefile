@@ -32,11 +32,13 @@ export GOMP_SPINCOUNT := 20000
 
 repro: $(STAMP)  ## run the pipeline: by default the toybox car, from pictures to a page
 	dvc repro
+	@kato3d runs > /dev/null
 
 install: $(STAMP)  ## set up the environment alone
 
 run: $(if $(filter BASELINE,$(OPTIONS)),$(TOOLS),$(STAMP))  ## add a run to params.yaml and run it: ROW=, and if you like (README.md) SIZE=laptop|paper|laptop-imagenet|paper-imagenet SOURCE= FEATURES= ABLATION= SEED= DATASET= CATEGORY= BASE_SHAPE= BASELINE=
 	@python -m stages.run_row $(foreach option,$(OPTIONS),--$(shell echo $(option) | tr A-Z a-z)="$$$(option)")
+	@kato3d runs > /dev/null
 
 test: $(TOOLS)  ## the whole test suite
 	OMP_NUM_THREADS=1 NUMBA_NUM_THREADS=1 pytest --numprocesses 2 --dist loadfile --no-loadscope-reorder

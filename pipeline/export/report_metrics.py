@@ -194,7 +194,7 @@ def metrics_section(figures: Mapping[str, Any], stage_figures: Mapping[str, Mapp
         "Reconstructions beside the photographs: distance of their features (lower is better), peak signal-to-noise "
         "ratio and structural similarity (higher is better). Below is every figure that the stages wrote; fine-tuning "
         "measures in the precision that it trains in, so that its distances differ a little from those of evaluation. "
-        "kato3d runs puts those of all runs side by side."
+        "The table of all runs is index.html one folder up, which make repro, make run and kato3d runs write."
     )
     return Section("metrics", "All figures", introduction, body)
 

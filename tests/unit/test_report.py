@@ -70,7 +70,7 @@ def test_page_is_whole_and_needs_nothing_beside_it(tmp_path: Path, truth: bool) 
     assert "<h3>base shape</h3>" in text
     assert "<h3>features</h3>" not in text
     assert "<h1>Run toy&lt;car&gt;</h1>" in text
-    assert "kato3d runs puts those of all runs side by side" in text
+    assert "The table of all runs is index.html one folder up" in text
     assert ("poses within 30°" in text) == truth
 
 
