@@ -1,0 +1,42 @@
+"""`kato3d view` and `kato3d runs`, on a project with a tiny trained model."""
+
+from pathlib import Path
+
+import pytest
+
+from pipeline.cli.__main__ import main
+
+
+def test_view_opens_the_page(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = project / "results/report/toybox-car/index.html"
+    page.parent.mkdir(parents=True)
+    page.touch()
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
+    main(["view", "--project", str(project)])
+    assert opened == [page.resolve().as_uri()]
+
+
+def test_runs_writes_and_opens_a_table_of_all_runs(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, has_page in (("horse", True), ("car", False)):
+        (project / "results/metrics").mkdir(parents=True, exist_ok=True)
+        (project / f"results/metrics/{name}.json").write_text('{"pose": {"acc": 0.5}, "reconstruction": {}}')
+        page = project / f"results/report/{name}/index.html"
+        page.parent.mkdir(parents=True)
+        if has_page:
+            page.touch()
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
+    main(["runs", "--project", str(project)])
+    page = project / "results/report/index.html"
+    assert opened == [page.resolve().as_uri()]
+    text = page.read_text()
+    assert '<td><a href="horse/index.html">horse</a></td>' in text
+    assert "<td>car</td>" in text
+
+
+def test_runs_names_a_file_that_holds_no_figures(project: Path) -> None:
+    (project / "results/metrics").mkdir(parents=True)
+    (project / "results/metrics/car.json").write_text("0.5")
+    with pytest.raises(SystemExit, match=r"^error: \S*car\.json is damaged: it holds no figures by name; remove it"):
+        main(["runs", "--project", str(project)])
