@@ -1,0 +1,60 @@
+"""Settings of all stages are looked at before the first one starts."""
+
+from pathlib import Path
+
+import pytest
+
+from pipeline.errors import ConfigError
+from pipeline.rows.options import Options
+from stages import run_row
+from stages.settings import require_settings
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("voxel_resolution: 32", "voxel_resolutions: 32", "did you mean"),
+        ("score_batches: 32", "score_batches: 0", "learn_base_shape.score_batches"),
+        ("texture_size: 64", "texture_size: 48", "texture_size' is 48; expected a whole number, a power of two from 4"),
+        ("device: auto", "device: gpu", "device is 'gpu'; expected auto, cpu or cuda"),
+        ("precision: auto", "precision: float16", "precision is 'float16'; expected auto, float32 or bfloat16"),
+        ("memory: 8", "memory: -8", "memory is -8; expected a number of GiB above 0"),
+        ("train_full: auto", "train_full: 0", "processes of a stage are 0; expected auto or a whole number from 1"),
+        ("frames: 24", "frames: 0", "turntable.frames' is 0; expected a whole number"),
+        ("photograph_size: 128", "photograph_sizes: 128", "paint.photograph_sizes'; did you mean 'photograph_size'"),
+    ],
+)
+def test_settings_of_late_stages_are_looked_at_early(params: Path, old: str, new: str, message: str) -> None:
+    usual = Options("toybox-car")
+    require_settings(params, usual)
+    text = params.read_text(encoding="utf-8")
+    assert old in text
+    params.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(ConfigError, match=message):
+        require_settings(params, usual)
+
+
+@pytest.mark.parametrize(
+    ("baseline", "old", "message"),
+    [
+        ("colmap", "enlargement", "evaluate_colmap.enlargements'; did you mean 'enlargement'"),
+        ("hologan", "generator_steps", "train_hologan.generator_stepss'; did you mean 'generator_steps'"),
+    ],
+)
+def test_of_settings_a_baseline_needs_its_own(params: Path, baseline: str, old: str, message: str) -> None:
+    text = params.read_text(encoding="utf-8").replace("\nfine_tune:\n", "\nfine_tune:\n  step: 3\n")
+    params.write_text(text, encoding="utf-8")
+    require_settings(params, Options("toybox-car", baseline=baseline))
+    params.write_text(text.replace(f"{old}:", f"{old}s:"), encoding="utf-8")
+    with pytest.raises(ConfigError, match=message):
+        require_settings(params, Options("toybox-car", baseline=baseline))
+
+
+def test_a_run_that_cannot_end_is_not_turned_on(params: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    params.write_text(params.read_text(encoding="utf-8").replace("\nfine_tune:\n", "\nfine_tune:\n  step: 3\n"))
+    before = params.read_bytes()
+    monkeypatch.chdir(params.parent)
+    monkeypatch.setattr("sys.argv", ["run_row", "--row", "toybox-horse"])
+    with pytest.raises(ConfigError, match=r"unknown key 'fine_tune\.step'"):
+        run_row.main()
+    assert params.read_bytes() == before
