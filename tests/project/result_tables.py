@@ -216,7 +216,7 @@ TABLES: dict[str, Table | Confusion] = {
     ),
     "fewer": Table(
         "",
-        r"toybox-(200-car|500-car|car-no-copying-cost)|cifar10-(200-car|automobile-no-copying-cost)",
+        r"toybox-(200-car|500-car|car)|cifar10-(200-car|automobile-no-copying-cost)",
         {
             "feature distance": "reconstruction.predicted.feature_distance",
             "fine-tuned": "reconstruction.tuned.feature_distance",
