@@ -1,4 +1,4 @@
-"""Calls of `kato3d reconstruct` on a project with a tiny trained model, and what they should give."""
+"""A project with a tiny trained model, calls of `kato3d reconstruct` on it, and what they should give."""
 
 from pathlib import Path
 
@@ -10,12 +10,22 @@ from torch import Tensor
 
 from pipeline.cli.__main__ import main
 from pipeline.export.views import TurntableConfig
-from pipeline.networks.feature_extractor import extract, load_feature_extractor
-from pipeline.networks.full_model import Reconstruction
+from pipeline.networks.feature_extractor import extract, load_feature_extractor, save_feature_extractor
+from pipeline.networks.full_model import Reconstruction, save_full_model
+from pipeline.networks.wide_resnet import WideResNet
+from pipeline.seeding import initialised
 from tests.report_inputs import VIEW
 from tests.tiny_full_model import tiny_model
 
 TURNTABLE = TurntableConfig(frames=4, view=VIEW)
+
+
+def save_models(project: Path) -> None:
+    """Save the tiny model and a network of features as those of the run `toybox-car`."""
+    save_full_model(project / "models/full/toybox-car.safetensors", tiny_model(), {})
+    with initialised(1):
+        network = WideResNet(10, 1, 2)
+    save_feature_extractor(project / "models/features/toybox-laptop.safetensors", network, 2.0, {})
 
 
 def reconstruct(project: Path, *words: str) -> list[str]:

@@ -139,10 +139,9 @@ def _load_settings(run: Run) -> Settings:
 
 def _way(run: Run, settings: Settings, steps: Steps) -> dict[str, str | bool]:
     """Say how reconstructions are made, so that a folder holds those of one way alone."""
-    turntable = settings.turntable
     tuning = replace(settings.fine_tune, batch_size=1)  # which changes what comes out by rounding alone
     chosen = [*([tuning] if steps.fine_tune else []), *([settings.paint] if steps.paint else [])]
-    text = repr([settings.fit, turntable.frames, turntable.view, sha256(run.features), *chosen])
+    text = repr([settings.fit, settings.turntable, sha256(run.features), *chosen])
     return {"model": sha256(run.model), **steps._asdict(), "settings": hashlib.sha256(text.encode()).hexdigest()}
 
 

@@ -7,11 +7,9 @@ import pytest
 from PIL import Image
 from ruamel.yaml import YAML
 
-from pipeline.networks.feature_extractor import save_feature_extractor
-from pipeline.networks.full_model import save_full_model
-from pipeline.networks.wide_resnet import WideResNet
 from tests.fresh_params import write_fresh_params
-from tests.tiny_full_model import photographs, tiny_model
+from tests.tiny_full_model import photographs
+from tests.trained_project import save_models
 
 
 @pytest.fixture(scope="session")
@@ -27,9 +25,7 @@ def original(tmp_path_factory: pytest.TempPathFactory) -> Path:
     params["turntable"] = {"frames": 4, "view": {"size": 64, "supersampling": 1, "elevation": 15}}
     params["device"], params["precision"] = "cpu", "float32"
     yaml.dump(params, folder / "params.yaml")
-    model = tiny_model()
-    save_full_model(folder / "models/full/toybox-car.safetensors", model, {})
-    save_feature_extractor(folder / "models/features/toybox-laptop.safetensors", WideResNet(10, 1, 2), 2.0, {})
+    save_models(folder)
     for name, photograph in zip(("car", "van"), photographs(2)[0], strict=True):
         Image.fromarray(photograph.permute(1, 2, 0).contiguous().numpy()).save(parent / f"{name}.png")
     return parent

@@ -10,17 +10,10 @@ from pipeline.errors import ConfigError
 from pipeline.rows.options import Options
 from pipeline.rows.params_file import round_trip_yaml
 from pipeline.rows.turn_on import turn_on
+from tests.fresh_params import RUN
 
 ROOT = Path(__file__).parents[2]
-BASE_SHAPE = {
-    "row": "toybox-car",
-    "size": "laptop",
-    "ablation": "none",
-    "seed": 1,
-    "dataset": "toybox",
-    "category": "car",
-    "features": "toybox-laptop",
-}
+BASE_SHAPE = {**RUN, "seed": 1}
 
 
 def test_the_project_s_own_file_keeps_its_layout(tmp_path: Path) -> None:

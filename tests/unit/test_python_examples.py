@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 import trimesh
 
-from pipeline.networks.feature_extractor import save_feature_extractor
-from pipeline.networks.full_model import save_full_model
-from pipeline.networks.wide_resnet import WideResNet
-from pipeline.seeding import initialised
-from tests.tiny_full_model import photographs, tiny_model
+from tests.tiny_full_model import photographs
+from tests.trained_project import save_models
 
 DOCUMENT = (Path(__file__).parents[2] / "docs/python.md").read_text(encoding="utf-8")
 RENDERER, MODEL, LOSS = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
@@ -29,12 +26,8 @@ def test_the_renderer_finds_an_egg() -> None:
 
 def test_a_model_is_read_turned_and_fitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    for folder in ("models/full", "models/features", "data/prepared/toybox/test"):
-        Path(folder).mkdir(parents=True)
-    save_full_model(Path("models/full/toybox-car.safetensors"), tiny_model(), {})
-    with initialised(1):
-        network = WideResNet(10, 1, 2)
-    save_feature_extractor(Path("models/features/toybox-laptop.safetensors"), network, 2.0, {})
+    save_models(tmp_path)
+    Path("data/prepared/toybox/test").mkdir(parents=True)
     pictures, _ = photographs(4)
     np.save("data/prepared/toybox/test/car.npy", pictures.permute(0, 2, 3, 1).numpy())
     names: dict[str, Any] = {}
