@@ -65,6 +65,16 @@ def shared_batch(wanted: int, available: int) -> int:
     return available - available % world().size or available
 
 
+def require_divisible(batch_size: int) -> None:
+    """Raise ConfigError for a batch that the processes cannot share evenly."""
+    size = world().size
+    if batch_size % size:
+        raise ConfigError(
+            f"a batch of {batch_size} cannot be shared by {size} processes; set batch sizes (or the number of "
+            f"photographs, where it is smaller) to multiples of {size}, or processes to a divisor of them"
+        )
+
+
 def share(batch: Batch, dim: int = 0) -> Batch:
     """Take this process's part of a batch along a dimension; of a named tuple, each entry's.
 
@@ -75,11 +85,7 @@ def share(batch: Batch, dim: int = 0) -> Batch:
         return batch
     if isinstance(batch, tuple):
         return type(batch)(*(share(entry, dim) for entry in batch))
-    if batch.shape[dim] % size:
-        raise ConfigError(
-            f"a batch of {batch.shape[dim]} cannot be shared by {size} processes; set batch sizes (or the number of "
-            f"photographs, where it is smaller) to multiples of {size}, or processes to a divisor of them"
-        )
+    require_divisible(batch.shape[dim])
     return batch.chunk(size, dim)[rank]  # pyright: ignore[reportReturnType]
 
 

@@ -28,15 +28,15 @@ def main() -> None:
     """Train in as many processes as the parameters say."""
     paths = dict.fromkeys(["images", "test_images", "initial", "checkpoints", "out", "metrics", "curve"], Path)
     arguments = parse(__doc__, **paths, seed=int)
+    config = load(arguments.params, FeaturesConfig, arguments.sections)
     machine = load_machine(arguments.params)
     processes = resolve_processes(scalar(arguments.params, "processes.train_features"), machine.device, parts=1)
     with reserved(arguments.checkpoints):
-        share_work(processes, machine.device, train, arguments, machine)
+        share_work(processes, machine.device, train, config, arguments, machine)
 
 
-def train(arguments: Namespace, machine: Machine) -> None:
+def train(config: FeaturesConfig, arguments: Namespace, machine: Machine) -> None:
     """Train on every category of the data set; write the weights, the figures they reach and the curve."""
-    config = load(arguments.params, FeaturesConfig, arguments.sections)
     device, precision, memory = machine
     categories = list_categories(arguments.images)
     pictures = load_pictures(arguments.images, categories, device, memory)
@@ -49,7 +49,9 @@ def train(arguments: Namespace, machine: Machine) -> None:
             write_json(arguments.metrics, {"maps": given.maps, "parameters": count_parameters(given)})
         return
     test = load_pictures(arguments.test_images, categories, device, memory - placed_bytes(pictures.images))
-    inputs = [arguments.images, arguments.test_images, arguments.initial]
+    inputs = [arguments.images, arguments.test_images]
+    if config.method == "transfer":
+        inputs.append(arguments.initial)
     checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed, device, precision))
     seed = arguments.seed
     network, curve = train_features(config, pictures, test, arguments.initial, precision, seed, checkpoint)

@@ -24,15 +24,15 @@ def main() -> None:
     """Train in as many processes as the parameters say."""
     paths = dict.fromkeys(["images", "features", "base_shape", "mesh", "checkpoints", "out", "metrics", "curve"], Path)
     arguments = parse(__doc__, **paths, seed=int)
+    config = load(arguments.params, FullTrainingConfig, arguments.sections)
     machine = load_machine(arguments.params)
     processes = resolve_processes(scalar(arguments.params, "processes.train_full"), machine.device, parts=1)
     with reserved(arguments.checkpoints):
-        share_work(processes, machine.device, train, arguments, machine)
+        share_work(processes, machine.device, train, config, arguments, machine)
 
 
-def train(arguments: Namespace, machine: Machine) -> None:
+def train(config: FullTrainingConfig, arguments: Namespace, machine: Machine) -> None:
     """Train around the base mesh, then write the model, the recorded best poses, and the curve."""
-    config = load(arguments.params, FullTrainingConfig, arguments.sections)
     device, precision, memory = machine
     inputs = [arguments.images, arguments.features, arguments.base_shape, arguments.mesh]
     checkpoint = Checkpoint(arguments.checkpoints, restart_key(config, inputs, arguments.seed, device, precision))

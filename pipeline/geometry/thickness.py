@@ -40,7 +40,8 @@ def thickness(vertices: Float[Tensor, "V 3"], far: FarSide) -> Float[Tensor, " V
 
     In the vertices' unit. Gradients flow to the vertices.
     """
-    opposite = (vertices[far.corners] * far.weights[..., None]).sum(dim=1)
+    corners = vertices.index_select(0, far.corners.flatten()).unflatten(0, far.corners.shape)
+    opposite = (corners * far.weights[..., None]).sum(dim=1)
     return ((opposite - vertices) * far.inwards).sum(dim=1)
 
 

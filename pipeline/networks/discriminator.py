@@ -25,7 +25,10 @@ class ViewDiscriminator(nn.Module):
         self.score = nn.Linear(4 * width, 1)
 
     def forward(self, images: Float[Tensor, "B 3 H W"], views: Float[Tensor, "B K"]) -> Float[Tensor, " B"]:
-        """Return logits, positive for "rendered at an estimated view"; `views` are pose coordinates."""
+        """Return logits, positive for "rendered at an estimated view".
+
+        Pictures are in [0, 1], `views` are pose coordinates. Gradients flow to both.
+        """
         maps = 2 * images - 1
         for convolution in self.convolutions:
             maps = functional.leaky_relu(convolution(maps), 0.2)

@@ -129,8 +129,9 @@ def balance(
     """Turn scores into probabilities that give axes their shares, and opposite azimuths the same mean colours.
 
     Each azimuth's score gets an affine function of the colours, found by Newton-like steps, after what makes its mean
-    differ from that of the opposite azimuth is taken off. Both are averaged with those of the mirror image. Neither of
-    two opposite azimuths keeps less than the part `smaller_end` of their axis.
+    differ from that of the opposite azimuth is taken off: half of the difference, as the opposite azimuth gives way by
+    the other half. Both are averaged with those of the mirror image, and half a Newton step is taken; each halves once
+    more. Neither of two opposite azimuths keeps less than the part `smaller_end` of their axis.
     """
     excess_of_mean = scores.mean(dim=0) - _opposite(scores.mean(dim=0))
     scores = scores - (excess_of_mean + mirrored(excess_of_mean)) / 4
@@ -140,13 +141,25 @@ def balance(
     for _ in range(_BALANCING_STEPS):
         probabilities = (scores + colors @ correction).softmax(dim=1)
         sums = colors.T @ probabilities / len(colors)
-        excess = (sums - _opposite(sums)) / 2
-        end = sums[0] / (sums[0] + _opposite(sums[0]))
-        excess[0] = (sums[0] + _opposite(sums[0])) / 2 - share
-        excess[0] += 2 * share * (end - end.clamp(smaller_end, 1 - smaller_end))
-        step = torch.linalg.solve(covariance, excess) / share
+        step = torch.linalg.solve(covariance, _excess(sums, share, smaller_end)) / share
         correction = correction - (step + mirrored(step)) / 4
     return (scores + colors @ correction).softmax(dim=1)
+
+
+def _excess(
+    sums: Float[Tensor, "K azimuths"], share: Float[Tensor, " azimuths"], smaller_end: float
+) -> Float[Tensor, "K azimuths"]:
+    """Return what azimuths have too much of.
+
+    In row 0 of photographs: beyond the share of their axis, and beyond an end's largest part of it. In the others of
+    colours: beyond the mean of both ends.
+    """
+    taken = sums[0]
+    axis = taken + _opposite(taken)
+    end = taken / axis
+    of_photographs = axis / 2 - share + 2 * share * (end - end.clamp(smaller_end, 1 - smaller_end))
+    of_colors = (sums[1:] - _opposite(sums[1:])) / 2
+    return torch.cat([of_photographs[None], of_colors])
 
 
 def judge(

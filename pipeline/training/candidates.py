@@ -25,9 +25,6 @@ Flips = Annotated[int, Range(0, 3)]
 _SAME_SIDE = 90.0
 """Degrees of azimuth, either way, beyond which a pose shows the object from the far side."""
 
-FIRST_HEAD = 2
-"""Index of the ensemble's first candidate, after the recorded pose and the student's."""
-
 
 @dataclass(frozen=True)
 class ShapeSearchConfig:
@@ -128,9 +125,18 @@ def first_record(model: FullModel, count: int, rng: torch.Generator) -> Record:
     return Record(model.poses.draw(count, rng), torch.zeros(count, model.shapes.parameter_count, device=rng.device))
 
 
+class Candidates(NamedTuple):
+    """Poses and shapes to compare; row i of both is one candidate of each photograph."""
+
+    poses: Float[Tensor, "candidates B 7"]
+    shapes: Float[Tensor, "candidates B K"]
+    heads: slice
+    """Which of the candidates are the ensemble's."""
+
+
 def candidates(
     model: FullModel, estimate: Estimate, record: Record, config: ExplorationConfig, rng: torch.Generator
-) -> tuple[Float[Tensor, "candidates B 7"], Float[Tensor, "candidates B K"]]:
+) -> Candidates:
     """List poses (recorded, estimated, near, turned, raised, flipped, random), then shapes.
 
     Poses come with the recorded shape, shapes with the recorded pose.
@@ -138,11 +144,13 @@ def candidates(
     Where no shapes are searched for, all poses come with the estimated shape, whose gradients flow.
     """
     batch = len(record.pose)
+    first = torch.stack([record.pose, estimate.student.coordinates])
+    ensemble = estimate.heads.coordinates.transpose(0, 1)
+    heads = slice(len(first), len(first) + len(ensemble))
     poses = torch.cat(
         [
-            record.pose[None],
-            estimate.student.coordinates[None],
-            estimate.heads.coordinates.transpose(0, 1),
+            first,
+            ensemble,
             _near_poses(record.pose, config, rng),
             _turned(record.pose, config.turned_poses, rng),
             _raised(record.pose, config.raised_poses, rng),
@@ -152,7 +160,7 @@ def candidates(
     )
     poses = model.poses.clamp(poses)
     if config.shapes is None:
-        return poses, estimate.shape.expand(len(poses), -1, -1)
+        return Candidates(poses, estimate.shape.expand(len(poses), -1, -1), heads)
     shapes = torch.cat(
         [
             estimate.shape[None],
@@ -161,9 +169,10 @@ def candidates(
         ]
     )
     pose_count, shape_count = len(poses), len(shapes)
-    return (
+    return Candidates(
         torch.cat([poses, record.pose.expand(shape_count, -1, -1)]),
         torch.cat([record.shape.expand(pose_count, -1, -1), shapes]),
+        heads,
     )
 
 

@@ -7,6 +7,7 @@ import os
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -63,12 +64,19 @@ class Checkpoint:
         except DataError:
             raise DataError(f"the restart state {self._path} is damaged; remove it to train anew") from None
         if metadata["key"] != self._key:
-            tqdm.write(
-                f"{self._path} is left out: it is of other code, settings or inputs, and training starts anew",
-                file=sys.stderr,
-            )
+            _say_left_out(self._folder)
             return None
         return tensors, json.loads(metadata["values"])
+
+
+@cache
+def _say_left_out(folder: Path) -> None:
+    """Say once, however many parts the work has."""
+    tqdm.write(
+        f"restart states in {folder} are left out: they are of other code, settings or inputs, and the work starts "
+        "anew",
+        file=sys.stderr,
+    )
 
 
 @contextmanager

@@ -37,11 +37,11 @@ from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.pose_coordinates import PoseCoordinates
 from pipeline.ranges import Count, NonNegative, Positive, Range, Several
 from pipeline.training.azimuths import AZIMUTHS, judge, regress_held_out
-from pipeline.training.first_poses import cut_to_box
+from pipeline.training.boxes import cut_to_box
 from pipeline.training.paint import paintless_features
 
 _FEWEST = 50
-"""Photographs of sides below which the way they face cannot be told."""
+"""Photographs of sides, and of ends where mostly one is shown, below which ends are not told."""
 _SHARPNESS = 1.2
 """Of beliefs: a score of typical size is believed by tanh(1.2) = .83."""
 _SLANT_HARMONICS = 4
@@ -93,9 +93,10 @@ def tell_ends(
 ) -> Float[Tensor, " N"]:
     """Return whether photographs show the ends that their recorded pose coordinates say: positive if so, else negative.
 
-    Boxes, elevations and rolls are the means of the recorded ones and of those that networks read. 0 everywhere where
-    too few photographs show sides. Where both ends are shown equally often it is not known which way of facing is left:
-    the coordinates of the majority are taken to be right.
+    How far from 0 has no meaning. Boxes, elevations and rolls are the means of the recorded ones and of those that
+    networks read. 0 everywhere, with a word, where too few photographs show what ends are told by. Where both ends are
+    shown equally often it is not known which way of facing is left: the coordinates of the majority are taken to be
+    right.
     """
     coordinates = torch.cat([recorded[:, :2], (recorded[:, 2:] + read[:, 2:]) / 2], 1)
     images = cut_to_box(photographs / 255, poses, coordinates, config.box_size, poses.roll(coordinates))
@@ -103,9 +104,9 @@ def tell_ends(
     turn = consistent_axes(features, recorded[:, :2], config, rng)
     agree([turn])  # or one process might count fewer sides, draw nothing below, and draw other batches from here on
     views = odd_views(features, turn, coordinates, poses)
-    if (sides := int(views.within(config.side_reach).sum())) < _FEWEST:
+    if (missing := _missing_views(views, config)) is not None:
         if is_first():
-            tqdm.write(f"ends stay as they are recorded: {sides} photographs show sides, telling them needs {_FEWEST}")
+            tqdm.write(f"ends stay as they are recorded: {missing}, telling them needs {_FEWEST}")
         return torch.zeros_like(views.slant)
     if config.shown == "equally":
         belief = facing(views, config, rng)
@@ -152,6 +153,10 @@ class OddViews(NamedTuple):
     def within(self, degrees: float) -> Bool[Tensor, " N"]:
         """Tell which views are turned from a side view by at most so many degrees, either way."""
         return self.slant.abs() <= math.radians(degrees)
+
+    def along(self, degrees: float) -> Bool[Tensor, " N"]:
+        """Tell which views are turned from a view along the axis by at most so many degrees, either way."""
+        return self.slant.abs() >= math.pi / 2 - math.radians(degrees)
 
 
 def odd_views(
@@ -214,13 +219,22 @@ def facing_with_preferred_end(views: OddViews, side_reach: float) -> Float[Tenso
     the side are split by their leading component into halves that face as most of them are recorded.
     """
     slant, side = views.slant, views.within(side_reach)
-    along = slant.abs() >= math.pi / 2 - math.radians(side_reach)
-    belief = slant.sign() * slant[along].sign().sum().sign()
+    belief = slant.sign() * slant[views.along(side_reach)].sign().sum().sign()
     known = torch.cat([_odd_harmonics(slant, _SIDE_HARMONICS), views.others], 1)
     rest, _ = _taken_off(known[side], views.odd[side])
     split = _leading_component(rest)
     belief[side] = (_SHARPNESS * split * split.sign().sum().sign()).tanh()
     return belief
+
+
+def _missing_views(views: OddViews, config: EndsConfig) -> str | None:
+    """Say of which views there are too few to tell ends by; None where there are enough."""
+    shown = {"sides": views.within(config.side_reach)}
+    if config.shown == "mostly_one":
+        shown["ends"] = views.along(config.side_reach)
+    counts = {what: int(of_views.sum()) for what, of_views in shown.items()}
+    few = (f"{count} photographs show {what}" for what, count in counts.items() if count < _FEWEST)
+    return next(few, None)
 
 
 def opposite_bins(azimuth: Float[Tensor, " N"]) -> tuple[Float[Tensor, "N azimuths"], Float[Tensor, "N azimuths"]]:

@@ -11,7 +11,7 @@ from pipeline.errors import ConfigError
 from pipeline.losses.image_distance import Features, feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor
 from pipeline.networks.full_model import FullModel, Reconstruction
-from pipeline.training.candidates import FIRST_HEAD, Estimate, ExplorationConfig, Record, candidates, within_reach
+from pipeline.training.candidates import Estimate, ExplorationConfig, Record, candidates, within_reach
 
 _BEYOND_REACH = 1e4
 """Added to the distances of candidates that may not win: above any distance, so that they come last, in their order."""
@@ -35,13 +35,13 @@ def explore(
     rng: torch.Generator,
 ) -> Best:
     """Find the candidate nearest to each photograph; `targets` are their features."""
-    poses, shapes = candidates(model, estimate, record, config, rng)
+    poses, shapes, heads = candidates(model, estimate, record, config, rng)
     losses = score(model, extractor, targets, estimate, poses, shapes, config.map_weights)
     far = ~within_reach(poses, record.pose, config.azimuth_reach)
     ranked = losses.double() + _BEYOND_REACH * far  # in float32 the large number would round their order away
     winner = ranked.argmin(dim=0)
     photograph = torch.arange(len(winner), device=winner.device)
-    head = ranked[FIRST_HEAD : FIRST_HEAD + estimate.heads.end.shape[1]].argmin(dim=0)
+    head = ranked[heads].argmin(dim=0)
     return Best(Record(poses[winner, photograph], shapes[winner, photograph]), head)
 
 

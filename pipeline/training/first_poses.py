@@ -16,16 +16,16 @@ from torch import Tensor
 from torch.nn import functional
 from tqdm import tqdm
 
-from pipeline.datasets.images import Images
 from pipeline.distributed import divide, silent, world
 from pipeline.losses.image_distance import Features, pairwise_feature_distance
 from pipeline.networks.feature_extractor import FeatureExtractor, extract
 from pipeline.networks.full_model import FullModel
-from pipeline.networks.pose_coordinates import PoseCoordinates
 from pipeline.networks.scene_generator import LearnedScenes, SceneGenerator
 from pipeline.ranges import Concentration, Fraction, NonNegative, Positive, Several
 from pipeline.rendering.renderer import Mesh, render
 from pipeline.training.azimuths import ConsensusConfig, agree_on_azimuths, bins, join_votes
+from pipeline.training.boxes import cut_to_box
+from pipeline.training.reading import read_all_poses
 from pipeline.training.viewpoints import LightConfig, sample_lights
 
 _CHUNK = 250
@@ -88,32 +88,6 @@ def first_poses(
     elevation_and_roll = (near @ poses[:, 2:4]) / near.sum(dim=1, keepdim=True).clamp_min(_SMALLEST)
     azimuth = bins(poses.device)[winner, None]
     return torch.cat([azimuth.cos(), azimuth.sin(), elevation_and_roll, estimated[:, 4:]], 1)
-
-
-def read_all_poses(model: FullModel, photographs: Images, first: int = 0) -> Float[Tensor, "_ 7"]:
-    """Return what the model reads off photographs from some one on, as pose coordinates."""
-    starts = range(first, len(photographs), _CHUNK)
-    return torch.cat([model.read_poses(photographs[start : start + _CHUNK].float() / 255) for start in starts])
-
-
-def cut_to_box(
-    images: Float[Tensor, "N 3 H W"],
-    poses: PoseCoordinates,
-    coordinates: Float[Tensor, "N 7"],
-    box_size: float,
-    roll: Float[Tensor, " N"],
-) -> Float[Tensor, "N 3 H W"]:
-    """Cut pictures so that the object's box stands in the middle, its longer side `box_size` of the picture's.
-
-    Pictures are turned back by a roll, in radians, about the middle of the box. What lies outside the picture is its
-    reflection.
-    """
-    center, extent = poses.box(coordinates)
-    turn = torch.stack([roll.cos(), roll.sin(), -roll.sin(), roll.cos()], 1).view(-1, 2, 2)
-    zoom = (extent / box_size)[:, None, None] * turn
-    shift = center * center.new_tensor([1.0, -1.0])  # ndc is y up, grids are y down
-    grid = functional.affine_grid(torch.cat([zoom, shift[:, :, None]], 2), list(images.shape), align_corners=False)
-    return functional.grid_sample(images, grid, padding_mode="reflection", align_corners=False)
 
 
 def count_votes(distances: Float[Tensor, "N K"], temperature: float) -> Float[Tensor, "N K"]:

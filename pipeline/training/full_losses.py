@@ -57,7 +57,7 @@ class LossConfig:
 
     @property
     def weights(self) -> dict[str, float]:
-        """Weights by the names of terms; smoothness is weighted inside."""
+        """Weights by the names of terms; smoothness is weighted inside, as is the deepest map in reconstruction."""
         return {**vars(self), "reconstruction": 1.0, "smoothness": 1.0}
 
 

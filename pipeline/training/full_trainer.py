@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from pipeline.distributed import agree, average_losses, share, shared_batch
+from pipeline.distributed import agree, average_losses, require_divisible, share, shared_batch
 from pipeline.errors import ConfigError
 from pipeline.losses.image_distance import Features
 from pipeline.networks.discriminator import ViewDiscriminator
@@ -77,7 +77,12 @@ class FullTrainingConfig:
     """Iterations between restart states."""
 
     def __post_init__(self) -> None:
-        """Raise ConfigError for parts that are for mirror-symmetric objects alone."""
+        """Raise ConfigError for ends told before the first step, and for parts of mirror-symmetric objects alone."""
+        if any(int(part * self.iterations) == 0 for part in self.ends.after):
+            raise ConfigError(
+                f"train_full.ends.after is {list(self.ends.after)}, but ends cannot be told before the first of "
+                f"{self.iterations} iterations; expected parts of at least 1/{self.iterations}"
+            )
         if not self.model.shape.mirror:
             for name, value in (
                 ("first_poses", self.starts_from_first_poses),
@@ -102,6 +107,7 @@ class FullTrainer:
     def __init__(self, config: FullTrainingConfig, photographs: Photographs, base: Mesh, seed: int) -> None:
         """Build networks, as precise as the extractor, optimiser and random streams from the seed."""
         device = photographs.images.device
+        _require_divisible(config, len(photographs.images))
         self.config, self.photographs, self.extractor = config, photographs, photographs.extractor
         first = torch.arange(min(4 * config.batch_size, len(photographs.images)), device=device)
         images, features = photographs.batch(first)
@@ -197,3 +203,12 @@ class FullTrainer:
             "rng": self.rng,
             **self.records.parts(),
         }
+
+
+def _require_divisible(config: FullTrainingConfig, photographs: int) -> None:
+    """Raise ConfigError for a batch that the processes cannot share, before hours are spent on the others."""
+    require_divisible(shared_batch(config.batch_size, photographs))
+    if config.model.two_stage and config.warm_up.iterations:
+        require_divisible(config.warm_up.batch_size)
+    if config.lessons.iterations:
+        require_divisible(config.lessons.batch_size)

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
-from tqdm import tqdm
 
 from pipeline.datasets.images import Images
-from pipeline.distributed import average, share, silent
+from pipeline.distributed import average, share
 from pipeline.networks.full_model import FullModel
 from pipeline.ranges import Count, Momentum, Natural, Positive
 from pipeline.training.cuda_graph import GraphedStep
-from pipeline.training.divergence import read_losses, require_finite
+from pipeline.training.divergence import require_finite
+from pipeline.training.loop import take_steps
 from pipeline.training.optimization import adam, falling, set_learning_rate, take_step
 
 
@@ -57,10 +57,12 @@ def learn_poses(
         take_step(loss, optimizer)
         return {"loss": average(loss.detach())}
 
-    step, losses = GraphedStep(learn, rng.device), []
-    for number in tqdm(range(config.iterations), "lessons", disable=silent()):
+    graphed = GraphedStep(learn, rng.device)
+
+    def step(iteration: int) -> dict[str, Float[Tensor, ""]]:
         rows = share(torch.randint(len(index), (config.batch_size,), generator=rng, device=rng.device))
-        set_learning_rate(falling(config.learning_rate, number, config.iterations, 0.5), optimizer)
-        losses.append(step(photographs[index[rows]], poses[rows]))
-    read_losses(losses, config.iterations - 1, "the lessons")
-    require_finite(model.state_dict(), config.iterations - 1, "the lessons")
+        set_learning_rate(falling(config.learning_rate, iteration, config.iterations, 0.5), optimizer)
+        return graphed(photographs[index[rows]], poses[rows])
+
+    take_steps(step, config.iterations, "lessons")
+    require_finite(model.state_dict(), config.iterations, "lessons")

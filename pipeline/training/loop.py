@@ -13,6 +13,9 @@ from pipeline.training.checkpoint import Checkpoint, Part, pack, unpack
 from pipeline.training.curves import Curve
 from pipeline.training.divergence import read_losses, require_finite
 
+_READ_EVERY = 100
+"""Steps of a short training between looks at its losses, for which a GPU has to be waited for."""
+
 
 @dataclass(frozen=True)
 class Schedule:
@@ -61,7 +64,7 @@ def run_training(
 
     def save(done: int) -> None:
         tensors = pack(**trainer.parts())
-        require_finite(tensors, max(done - 1, 0), name)
+        require_finite(tensors, done, name)
         values = {"prepared": prepared, "iteration": done, "rows": curve.rows, "recent": recent}
         checkpoint.save(tensors, values)
 
@@ -85,6 +88,19 @@ def run_training(
         if is_saved:
             save(done)
     return curve
+
+
+def take_steps(step: Callable[[int], Mapping[str, Float[Tensor, ""]]], iterations: int, name: str) -> None:
+    """Take all steps of a short training, one that has neither curve nor restart states.
+
+    Raises TrainingDiverged, a hundred steps later at most, where a loss is not finite.
+    """
+    unread: list[Mapping[str, Float[Tensor, ""]]] = []
+    for iteration in tqdm(range(iterations), name, disable=silent()):
+        unread.append(step(iteration))
+        if len(unread) == _READ_EVERY or iteration + 1 == iterations:
+            read_losses(unread, iteration, name)
+            unread = []
 
 
 def _restore(trainer: Trainer, checkpoint: Checkpoint) -> tuple[int, int, Curve, list[dict[str, float]]] | None:

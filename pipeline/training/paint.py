@@ -24,9 +24,9 @@ _LEAST_DEVIATION = 1e-4
 
 
 def mean_colors(images: Float[Tensor, "N 3 H W"]) -> Float[Tensor, "N K"]:
-    """Describe the paint: colours of the middle, their deviations and the colours of the border, whitened.
+    """Describe the paint: colours of the middle, their deviations, and what the border adds to the mean, whitened.
 
-    These are nine numbers, fewer where there are fewer photographs.
+    Whitened values are cut at three deviations. These are nine numbers, fewer where there are fewer photographs.
     """
     size = images.shape[-1]
     inner = slice(size // 4, size - size // 4)

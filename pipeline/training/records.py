@@ -7,17 +7,19 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn import functional
+from tqdm import tqdm
 
-from pipeline.distributed import agree, gather
+from pipeline.distributed import agree, gather, is_first
 from pipeline.geometry.camera import Pose
 from pipeline.networks.full_model import FullModel
 from pipeline.networks.scene_generator import LearnedScenes
 from pipeline.training.candidates import Record, first_record, flipped
 from pipeline.training.checkpoint import Part
 from pipeline.training.ends import EndsConfig, tell_ends
-from pipeline.training.first_poses import FirstPosesConfig, first_poses, read_all_poses
+from pipeline.training.first_poses import FirstPosesConfig, first_poses
 from pipeline.training.lessons import LessonsConfig, learn_poses
 from pipeline.training.photographs import Photographs
+from pipeline.training.reading import read_all_poses
 from pipeline.training.viewpoints import LightConfig
 
 _CHUNK = 10_000
@@ -68,22 +70,24 @@ class Records:
 
         Photographs beyond the first, or without a visit, show the ends that the networks then read off them.
         """
-        surely = self._turn_told(config)
-        if not surely.any():
+        told = self._turn_told(config)
+        if not told.any():
             return
-        self._teach(surely.nonzero().flatten())
+        self._teach(told.nonzero().flatten())
         agreement = (self._read()[:, :2] * self.best.pose[:, :2]).sum(dim=1)  # of azimuths, -1 to 1
-        self._turn(~surely & (agreement < 0))
+        self._turn(~told & (agreement < 0))
 
     def _turn_told(self, config: EndsConfig) -> Bool[Tensor, " N"]:
-        """Turn records of the first photographs, those visited, that show the opposite ends; tell which are sure."""
+        """Turn records of the first photographs, those visited, that show the opposite ends; return which were told."""
         images, extractor = self.photographs.images[: config.photographs], self.photographs.extractor
         recorded, read = self.best.pose[: len(images)], read_all_poses(self.model, images)
-        told = tell_ends(images, recorded, read, self.model.poses, extractor, config, self.rng)
-        agree([told])
-        told = functional.pad(told, (0, len(self.visits) - len(told))) * (self.visits > 0)
-        self._turn(told < 0)
-        return told != 0
+        lead = tell_ends(images, recorded, read, self.model.poses, extractor, config, self.rng)
+        agree([lead])
+        lead = functional.pad(lead, (0, len(self.visits) - len(lead))) * (self.visits > 0)
+        self._turn(lead < 0)
+        if is_first():
+            tqdm.write(f"ends told: {int((lead < 0).sum())} of {int((lead != 0).sum())} photographs turned round")
+        return lead != 0
 
     def _turn(self, opposite: Bool[Tensor, " N"]) -> None:
         """Turn recorded poses of some photographs to the opposite azimuth."""

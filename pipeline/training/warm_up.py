@@ -11,16 +11,16 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from tqdm import tqdm
 
-from pipeline.distributed import average, share, silent
+from pipeline.distributed import average, share
 from pipeline.networks.full_model import FullModel, Reconstruction
 from pipeline.networks.scene_generator import SceneGenerator
 from pipeline.ranges import Count, Momentum, Natural, NonNegative, Positive
 from pipeline.rendering.lighting import Light
 from pipeline.rendering.renderer import Mesh, render
 from pipeline.training.cuda_graph import GraphedStep
-from pipeline.training.divergence import read_losses, require_finite
+from pipeline.training.divergence import require_finite
+from pipeline.training.loop import take_steps
 from pipeline.training.optimization import adam, take_step
 from pipeline.training.viewpoints import LightConfig, sample_lights
 
@@ -80,9 +80,8 @@ def warm_up(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng:
         return {"loss": average(loss.detach())}
 
     step = GraphedStep(learn, rng.device, rng)
-    losses = [step() for _ in tqdm(range(config.iterations), "warm-up", disable=silent())]
-    read_losses(losses, config.iterations - 1, "the warm-up")
-    require_finite(model.state_dict(), config.iterations - 1, "the warm-up")
+    take_steps(lambda _iteration: step(), config.iterations, "warm-up")
+    require_finite(model.state_dict(), config.iterations, "warm-up")
 
 
 def draw_sample(model: FullModel, scenes: SceneGenerator, config: WarmUpConfig, rng: torch.Generator) -> Sample:

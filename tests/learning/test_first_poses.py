@@ -10,15 +10,15 @@ from torch import Tensor
 from pipeline.seeding import generator
 from pipeline.training import first_poses as first_poses_module
 from pipeline.training.azimuths import ConsensusConfig, join_votes
+from pipeline.training.boxes import cut_to_box
 from pipeline.training.first_poses import (
     FirstPosesConfig,
     _compare,
     _rendered_poses,
     count_votes,
-    cut_to_box,
     first_poses,
-    read_all_poses,
 )
+from pipeline.training.reading import read_all_poses
 from pipeline.training.warm_up import warm_up
 from tests.tiny_full_model import (
     TRAINING,

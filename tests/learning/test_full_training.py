@@ -10,8 +10,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from pipeline import distributed
 from pipeline.datasets.images import load_images, place_images
-from pipeline.errors import TrainingDiverged
+from pipeline.errors import ConfigError, TrainingDiverged
 from pipeline.evaluation.shape import proportions
 from pipeline.geometry.camera import pose_to_tensor
 from pipeline.networks.feature_extractor import extract
@@ -25,10 +26,10 @@ from pipeline.training.checkpoint import Checkpoint
 from pipeline.training.curves import Curve
 from pipeline.training.exploration import Best, explore, score
 from pipeline.training.fine_tune import FineTuneConfig, Outputs, PhaseConfig, fine_tune, tune
-from pipeline.training.first_poses import read_all_poses
 from pipeline.training.full import train_full
 from pipeline.training.full_trainer import FullTrainer, FullTrainingConfig
 from pipeline.training.photographs import Photographs
+from pipeline.training.reading import read_all_poses
 from pipeline.training.records import Records
 from stages.train_full import save
 from tests.tiny_full_model import (
@@ -150,7 +151,22 @@ def test_training_that_dies_after_telling_ends_resumes_to_the_same_bytes(
     assert [name for name in whole if not torch.equal(whole[name], halves[name])] == []
 
 
-def test_ends_are_turned_as_told_and_elsewhere_as_read(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("part", ["batch_size", "warm_up", "lessons"])
+def test_batches_that_processes_cannot_share_are_refused_before_the_first_step(
+    part: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = replace(TRAINING, batch_size=6)
+    whole = replace(whole, **{name: replace(getattr(whole, name), batch_size=6) for name in ("warm_up", "lessons")})
+    odd = 7 if part == "batch_size" else replace(getattr(whole, part), batch_size=7, iterations=1)
+    given = Photographs(photographs(8)[0], tiny_extractor(), 8, MEMORY)
+    monkeypatch.setattr(distributed, "world", lambda: distributed.World(0, 3))
+    with pytest.raises(ConfigError, match="a batch of 7 cannot be shared by 3 processes"):
+        FullTrainer(replace(whole, **{part: odd}), given, base_mesh(), 0)
+
+
+def test_ends_are_turned_as_told_and_elsewhere_as_read(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     (images, _), extractor = photographs(12), tiny_extractor()
     trainer = FullTrainer(TRAINING, Photographs(images, extractor, 8, MEMORY), base_mesh(), 0)
     before, told = trainer.records.best.pose.clone(), torch.tensor([1.0, -1, 1, -1, 1, 1, -0.1, 1])
@@ -161,6 +177,7 @@ def test_ends_are_turned_as_told_and_elsewhere_as_read(monkeypatch: pytest.Monke
     monkeypatch.setattr("pipeline.training.records.tell_ends", lambda images, *_: told[: len(images)])
     monkeypatch.setattr("pipeline.training.records.read_all_poses", lambda *_: read)
     trainer.records.turn_round(replace(ENDS, photographs=8))
+    assert "ends told: 3 of 7 photographs turned round" in capsys.readouterr().out
     turned = (trainer.records.best.pose[:, :2] * before[:, :2]).sum(dim=1) < 0
     assert turned.nonzero().flatten().tolist() == [1, 3, 6, 7, 9, 11]
     torch.testing.assert_close(trainer.records.best.pose[:, 2:], before[:, 2:])
@@ -212,7 +229,7 @@ def test_diverged_training_keeps_the_last_checkpoint(tmp_path: Path) -> None:
     wild = replace(TRAINING, loss=replace(TRAINING.loss, total_variation=float("inf")))
     train(replace(TRAINING, iterations=2), tmp_path)
     before = (tmp_path / "state.safetensors").read_bytes()
-    with pytest.raises(TrainingDiverged, match="iteration 2"):
+    with pytest.raises(TrainingDiverged, match="iteration 3;"):
         train(wild, tmp_path)
     assert (tmp_path / "state.safetensors").read_bytes() == before
 

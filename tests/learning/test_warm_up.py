@@ -36,7 +36,7 @@ def test_warm_up_teaches_where_objects_are_in_unseen_renderings() -> None:
 
 def test_a_last_step_that_breaks_the_weights_is_an_error() -> None:
     config = replace(CONFIG, iterations=1, learning_rate=1e39)
-    with pytest.raises(TrainingDiverged, match="no longer finite after iteration 0 of the warm-up"):
+    with pytest.raises(TrainingDiverged, match="no longer finite after iteration 1 of warm-up"):
         warm_up(tiny_model(), tiny_scenes().generators[0], config, generator(0))
 
 

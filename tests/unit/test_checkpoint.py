@@ -132,7 +132,15 @@ def test_a_state_of_other_settings_is_left_out_with_a_word(tmp_path: Path, capsy
     assert Checkpoint(tmp_path, "before").load() is not None
     assert capsys.readouterr().err == ""
     assert Checkpoint(tmp_path, "now").load() is None
-    assert "state.safetensors is left out: it is of other code, settings or inputs" in capsys.readouterr().err
+    said = f"restart states in {tmp_path} are left out: they are of other code, settings or inputs"
+    assert said in capsys.readouterr().err
+
+
+def test_states_of_many_parts_are_left_out_with_one_word(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for name in "ab":
+        Checkpoint(tmp_path, "before").part(name).save({}, {})
+    assert [Checkpoint(tmp_path, "now").part(name).load() for name in "ab"] == [None, None]
+    assert capsys.readouterr().err.count("left out") == 1
 
 
 HOLD = "import sys, time; from pathlib import Path; from pipeline.training.checkpoint import reserved\n\

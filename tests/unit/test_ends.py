@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from typing import Literal
 
 import pytest
 import torch
@@ -9,9 +10,9 @@ from torch import Tensor
 
 from pipeline.seeding import generator
 from pipeline.training import ends
+from pipeline.training.boxes import cut_to_box
 from pipeline.training.candidates import flipped
 from pipeline.training.ends import OddViews, consistent_axes, facing, facing_with_preferred_end, tell_ends
-from pipeline.training.first_poses import cut_to_box
 from tests.tiny_full_model import ENDS, MODEL, photographs_of, tiny_extractor, tiny_model
 
 CONFIG = replace(ENDS, components=32, side_reach=22.0, rounds=10, folds=5)
@@ -97,6 +98,21 @@ def test_photographs_that_mostly_show_one_end_tell_which_records_are_wrong() -> 
     belief = tell_ends(images, recorded, recorded, model.poses, extractor, config, generator(8))
     assert wrong.float().mean() > 0.3
     assert ((belief < 0) == wrong).float().mean() > 0.9
+
+
+@pytest.mark.parametrize(
+    ("shown", "azimuth", "missing"), [("equally", 0.0, "sides"), ("mostly_one", math.pi / 2, "ends")]
+)
+def test_ends_stay_where_too_few_photographs_show_what_tells_them(
+    shown: Literal["equally", "mostly_one"], azimuth: float, missing: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (model, extractor), recorded = (tiny_model(), tiny_extractor()), tiny_model().poses.draw(60, generator(2))
+    recorded[:, 0], recorded[:, 1] = math.cos(azimuth), math.sin(azimuth)
+    config = replace(CONFIG, shown=shown, consistency=0.0)
+    belief = tell_ends(photographs_of(recorded), recorded, recorded, model.poses, extractor, config, generator(8))
+    assert not belief.any()
+    said = f"ends stay as they are recorded: 0 photographs show {missing}, telling them needs 50"
+    assert said in capsys.readouterr().out
 
 
 def test_objects_are_cut_upright() -> None:

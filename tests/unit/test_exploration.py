@@ -50,7 +50,7 @@ def pictures_of(model: FullModel, estimate: Estimate, record: Record) -> Tensor:
 def test_each_kind_of_candidate_is_there_once_for_every_photograph() -> None:
     model = tiny_model()
     estimate, record = estimate_of(model, 3), first_record(model, 3, generator(0))
-    poses, shapes = candidates(model, estimate, record, CONFIG, generator(1))
+    poses, shapes, _ = candidates(model, estimate, record, CONFIG, generator(1))
     assert poses.shape == (1 + 1 + 2 + 2 + 2 + 3 + 3 + 1 + 3, 3, 7)
     torch.testing.assert_close(poses[0], record.pose)
     torch.testing.assert_close(poses[1], estimate.student.coordinates)
@@ -79,7 +79,7 @@ def test_near_shapes_differ_as_random_ones_do() -> None:
     model = tiny_model()
     record = Record(model.poses.draw(3, generator(0)), model.shapes.draw(3, 1.0, generator(2)))
     config = replace(CONFIG, shapes=ShapeSearchConfig(random=0, perturbed=300, step=(0.2, 0.2), spread=0.5))
-    _, shapes = candidates(model, estimate_of(model, 3), record, config, generator(1))
+    shapes = candidates(model, estimate_of(model, 3), record, config, generator(1)).shapes
     near = (shapes[-300:] - record.shape).flatten(0, 1)
     random = model.shapes.draw(900, 0.2, generator(3))
     torch.testing.assert_close(near.mean(dim=0), torch.zeros(near.shape[1]), atol=0.04, rtol=0)
@@ -91,7 +91,7 @@ def test_turned_candidates_keep_all_but_the_azimuth_and_spread_over_the_circle()
     record = first_record(model, 2, generator(0))
     none = {"raised_poses": 0, "flipped_poses": 0, "random_poses": 0, "perturbed_poses": 0, "shapes": None}
     only_turned = replace(CONFIG, turned_poses=4, **none)
-    poses, _ = candidates(model, estimate_of(model, 2), record, only_turned, generator(1))
+    poses = candidates(model, estimate_of(model, 2), record, only_turned, generator(1)).poses
     turned = poses[4:8]
     torch.testing.assert_close(turned[..., 2:], record.pose[:, 2:].expand(4, -1, -1))
     torch.testing.assert_close(turned[..., :2].sum(dim=0), torch.zeros(2, 2), atol=1e-5, rtol=0)
@@ -101,7 +101,7 @@ def test_raised_candidates_keep_all_but_the_elevation_and_spread_over_its_range(
     model = tiny_model()
     record = first_record(model, 50, generator(0))
     only_raised = replace(CONFIG, turned_poses=0, raised_poses=4, random_poses=0, perturbed_poses=0, shapes=None)
-    poses, _ = candidates(model, estimate_of(model, 50), record, refining(only_raised), generator(1))
+    poses = candidates(model, estimate_of(model, 50), record, refining(only_raised), generator(1)).poses
     raised = poses[4:]
     assert len(raised) == 4
     others = [0, 1, 3, 4, 5, 6]
@@ -127,7 +127,7 @@ def test_flipped_candidates_look_alike_from_outside() -> None:
     record = first_record(model, 2, generator(0))
     none = {"turned_poses": 0, "raised_poses": 0, "random_poses": 0, "perturbed_poses": 0, "shapes": None}
     only_flipped = replace(CONFIG, **none)
-    poses, _ = candidates(model, estimate_of(model, 2), record, only_flipped, generator(1))
+    poses = candidates(model, estimate_of(model, 2), record, only_flipped, generator(1)).poses
     azimuths = torch.atan2(poses[4:7, :, 1], poses[4:7, :, 0])
     recorded = torch.atan2(record.pose[:, 1], record.pose[:, 0])
     expected = torch.stack([recorded + torch.pi, -recorded, torch.pi - recorded])
@@ -139,7 +139,7 @@ def test_heads_beyond_reach_are_ranked_by_their_distances(monkeypatch: pytest.Mo
     model, extractor = tiny_model(), tiny_extractor()
     features = extractor(photographs(2)[0].float() / 255)
     estimate, record = estimate_of(model, 2), first_record(model, 2, generator(0))
-    count = len(candidates(model, estimate, record, CONFIG, generator(1))[0])
+    count = len(candidates(model, estimate, record, CONFIG, generator(1)).poses)
     falling = torch.linspace(1.001, 1, count)[:, None].expand(count, 2)
     monkeypatch.setattr("pipeline.training.exploration.score", lambda *_: falling)
     monkeypatch.setattr("pipeline.training.exploration.within_reach", lambda *_: torch.zeros(count, 2) > 0)
@@ -256,7 +256,7 @@ def test_steps_of_poses_are_of_all_sizes() -> None:
     record = Record(poses, torch.zeros(3, model.shapes.parameter_count))
     none = dict.fromkeys(("turned_poses", "raised_poses", "flipped_poses", "random_poses"), 0)
     config = replace(CONFIG, perturbed_poses=400, shapes=None, pose_step=(0.01, 0.1), **none)
-    drawn, _ = candidates(model, estimate_of(model, 3), record, config, generator(1))
+    drawn = candidates(model, estimate_of(model, 3), record, config, generator(1)).poses
     sizes = (drawn[4:] - record.pose)[..., 2:].flatten(0, 1).square().mean(1).sqrt()
     assert sizes.log().mean().exp().item() == pytest.approx(0.028, rel=0.15)
     assert sizes.quantile(0.02) < 0.012
@@ -267,5 +267,5 @@ def test_random_shapes_spread_as_asked() -> None:
     model = tiny_model()
     assert CONFIG.shapes is not None
     config = replace(CONFIG, shapes=replace(CONFIG.shapes, random=100, perturbed=0, spread=0.5))
-    _, shapes = candidates(model, estimate_of(model, 3), first_record(model, 3, generator(0)), config, generator(1))
+    shapes = candidates(model, estimate_of(model, 3), first_record(model, 3, generator(0)), config, generator(1)).shapes
     assert shapes[-100:].std().item() == pytest.approx(0.5, abs=0.03)

@@ -187,6 +187,12 @@ def test_what_is_for_mirror_symmetric_objects_is_refused_for_others(setting: str
         replace(without, **used)
 
 
+def test_ends_told_before_the_first_iteration_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"ends cannot be told before the first of 40 iterations; .* least 1/40"):
+        replace(TRAINING, iterations=40, ends=replace(ENDS, after=(0.02,)))
+    replace(TRAINING, iterations=40, ends=replace(ENDS, after=(0.025, 1.0)))
+
+
 def learns(network: nn.Module) -> bool:
     """Say whether a gradient has reached a network."""
     return any(parameter.grad is not None and bool(parameter.grad.any()) for parameter in network.parameters())

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from pipeline.errors import TrainingDiverged
 from pipeline.training.checkpoint import Checkpoint, Part
-from pipeline.training.loop import Schedule, run_training
+from pipeline.training.loop import Schedule, run_training, take_steps
 
 
 class Descent:
@@ -95,7 +95,7 @@ def test_what_prepares_a_training_happens_once_in_turn_and_is_kept(tmp_path: Pat
 @pytest.mark.parametrize("broken_from", [3, 5])
 def test_weights_that_are_not_finite_are_never_saved(broken_from: int, tmp_path: Path) -> None:
     checkpoint = Checkpoint(tmp_path, "key")
-    with pytest.raises(TrainingDiverged, match=f"place is no longer finite after iteration {broken_from} of descent"):
+    with pytest.raises(TrainingDiverged, match=f"place is no longer finite after iteration {broken_from + 1} of"):
         run_training(Descent(broken_from), Schedule(6, 6, 2), "descent", checkpoint)
     restored = checkpoint.load()
     assert restored is not None
@@ -112,3 +112,21 @@ def test_what_a_preparation_leaves_is_saved_only_where_it_is_finite(tmp_path: Pa
     with pytest.raises(TrainingDiverged, match="place is no longer finite after iteration 0 of descent"):
         run_training(descent, Schedule(6, 6, 2), "descent", checkpoint, prepare=[spoil])
     assert checkpoint.load() is None
+
+
+def test_a_short_training_that_diverges_ends_soon() -> None:
+    taken: list[int] = []
+
+    def step(iteration: int) -> dict[str, Tensor]:
+        taken.append(iteration)
+        return {"loss": torch.tensor(torch.nan if iteration == 5 else 1.0)}
+
+    with pytest.raises(TrainingDiverged, match="the loss of lessons became nan at iteration 6"):
+        take_steps(step, 1000, "lessons")
+    assert taken == [*range(100)]
+
+
+def test_the_last_steps_of_a_short_training_are_looked_at_too() -> None:
+    losses = iter([1.0] * 129 + [torch.inf])
+    with pytest.raises(TrainingDiverged, match="became inf at iteration 130"):
+        take_steps(lambda _iteration: {"loss": torch.tensor(next(losses))}, 130, "lessons")
