@@ -81,8 +81,8 @@ def load(path: Path, config_class: type[Config], sections: Sequence[str]) -> Con
     numbers within a `Range` or among `PowersOfTwo`, tuples of those, another dataclass, or any of these `| None`.
     Nothing has a default: every field must be given.
 
-    Raises ConfigError for a section or key that does not exist (with the nearest one that does), for a missing key
-    and for a value of the wrong type or out of range.
+    Raises ConfigError for a section or key that does not exist (with the nearest one that does), for a missing key,
+    for a value of the wrong type or out of range, and for values that the dataclass itself refuses.
     """
     document = _read(path)
     merged: dict[str, Any] = {}
@@ -187,7 +187,11 @@ def _build(config_class: type[Config], values: dict[str, Any], section: str, pat
     for name in names:
         if name not in values:
             raise ConfigError(f"{path}: '{section}.{name}' is missing; expected {_describe(hints[name])}")
-    return config_class(**{name: _convert(hints[name], values[name], f"{section}.{name}", path) for name in names})
+    converted = {name: _convert(hints[name], values[name], f"{section}.{name}", path) for name in names}
+    try:
+        return config_class(**converted)
+    except ConfigError as error:  # of values that do not go together
+        raise ConfigError(f"{path}: {section}: {error}") from None
 
 
 def _convert(hint: Any, value: Any, section: str, path: Path) -> Any:

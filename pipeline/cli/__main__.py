@@ -191,7 +191,9 @@ def _outputs(text: str) -> list[str]:
 def _view(arguments: Namespace) -> None:
     from pipeline.cli.runs import find_run
 
-    _open(find_run(arguments.project, arguments.run).page)
+    page = find_run(arguments.project, arguments.run).page.resolve()
+    if not webbrowser.open(page.as_uri()):
+        print(f"open {page}")
 
 
 def _runs(arguments: Namespace) -> None:
@@ -200,12 +202,7 @@ def _runs(arguments: Namespace) -> None:
 
     page = runs_page(arguments.project)
     write_runs_page(page, measured_runs(arguments.project))
-    _open(page)
-
-
-def _open(page: Path) -> None:
-    if not webbrowser.open(page.resolve().as_uri()):
-        print(f"open {page.resolve()}")
+    print(f"open {page.resolve()}")
 
 
 def _benchmark(arguments: Namespace) -> None:

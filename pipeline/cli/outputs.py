@@ -22,11 +22,15 @@ class Found(NamedTuple):
     """What a model reads off a photograph."""
 
     vertices: Float[Tensor, "1 V 3"]
+    """In the run's own frame, within its cube."""
     texture: Float[Tensor, "3 T T"]
+    """Over the sphere of directions, from 0 to 1."""
     pose: Pose
+    """Of the vertices."""
     background: Float[Tensor, "1 3 H W"]
+    """From 0 to 1."""
     image: Float[Tensor, "3 H W"]
-    """The reconstruction, rendered over its background."""
+    """The reconstruction, rendered over its background; from 0 to 1."""
 
 
 def write_outputs(

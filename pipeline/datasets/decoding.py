@@ -48,7 +48,11 @@ def decode(content: bytes, name: str, size: int, fit: Fit) -> UInt8[np.ndarray, 
 
 
 def decode_up_to(content: bytes, name: str, most: int, size: int, fit: Fit) -> UInt8[np.ndarray, "side side 3"]:
-    """Decode the square that `decode` shows at a size, with up to `most` pixels a side where the picture has them."""
+    """Decode the square that `decode` shows at `size` pixels a side, with up to `most` where the picture has them.
+
+    The square of a small picture has as many pixels as it has, however few. Raises DataError as `decode` does, but not
+    for a small one.
+    """
     picture = _upright(content, name)
     profile, side = picture.info.get("icc_profile"), min(most, _fitted_side(picture, fit))
     if side <= size:
@@ -56,12 +60,23 @@ def decode_up_to(content: bytes, name: str, most: int, size: int, fit: Fit) -> U
     picture = picture.reduce(max(1, _fitted_side(picture, fit) // (4 * side)))  # or a panorama's square takes gigabytes
     factor = size / _fitted_side(picture, fit)
     (left, right), (top, bottom) = (_window(length, factor, size) for length in picture.size)
+    continued, window = _continued(picture, (left, top, right, bottom))
+    square = continued.resize((side, side), Image.Resampling.LANCZOS, window, reducing_gap=3.0)
+    return np.asarray(to_srgb(square, name, profile))
+
+
+def _continued(
+    picture: Image.Image, window: tuple[float, float, float, float]
+) -> tuple[Image.Image, tuple[float, float, float, float]]:
+    """Continue a picture by its border pixels to where a window (left, top, right, bottom) reaches.
+
+    Return it and the window's place in it.
+    """
+    left, top, right, bottom = window
     before, above = max(0, math.ceil(-left)), max(0, math.ceil(-top))
     after, below = max(0, math.ceil(right - picture.width)), max(0, math.ceil(bottom - picture.height))
     continued = np.pad(np.asarray(picture), [(above, below), (before, after), (0, 0)], mode="edge")
-    window = (before + left, above + top, before + right, above + bottom)
-    square = Image.fromarray(continued).resize((side, side), Image.Resampling.LANCZOS, window, reducing_gap=3.0)
-    return np.asarray(to_srgb(square, name, profile))
+    return Image.fromarray(continued), (before + left, above + top, before + right, above + bottom)
 
 
 def cut_boxes(content: bytes, name: str, boxes: Sequence[Box], size: int) -> list[UInt8[np.ndarray, "size size 3"]]:

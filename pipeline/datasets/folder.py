@@ -60,7 +60,9 @@ class Categories:
 
     def __init__(self) -> None:
         self._counts: Counter[tuple[str, str]] = Counter()
+        """By split and category."""
         self._around: set[tuple[str, str]] = set()
+        """Names of folders around the splits, each with that of the folder in it."""
 
     @property
     def names(self) -> frozenset[str]:
@@ -68,7 +70,7 @@ class Categories:
         return frozenset(category for _, category in self._found())
 
     def note_folder(self, name: PurePosixPath) -> None:
-        """Count a category's folder, so that an empty one is missed; the source may lie in a folder `test` itself."""
+        """Count a category's folder, so that an empty one is missed."""
         if name.parent.name in SPLITS and name.name not in SPLITS and not is_hidden(name):
             self._counts[name.parent.name, name.name] += 0
 
@@ -96,7 +98,7 @@ class Categories:
                     )
 
     def _found(self) -> list[tuple[str, str]]:
-        """Leave out empty folders around the splits, which no category's are."""
+        """Leave out folders around the splits: where one is called `test`, the next looks like an empty category."""
         return [place for place, count in self._counts.items() if count or place not in self._around]
 
 

@@ -38,7 +38,7 @@ class Pascal3dConfig:
     def __post_init__(self) -> None:
         """Raise ConfigError where nothing would be read."""
         if not self.categories:
-            raise ConfigError("prepare_data.pascal3d: categories is empty; expected at least one")
+            raise ConfigError("categories is empty; expected at least one")
 
 
 class Key(NamedTuple):

@@ -4,33 +4,52 @@ import csv
 import io
 import math
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path, PurePosixPath
 
 from pipeline.datasets.archives import is_hidden, read_files
-from pipeline.datasets.prepared import Names, TruthBySplit
-from pipeline.datasets.truth import Viewpoints, viewpoints_of_boxes
+from pipeline.datasets.prepared import Names, Picture, TruthBySplit
+from pipeline.datasets.truth import viewpoints_of_boxes
 from pipeline.errors import DataError
 
 TABLE = "poses.csv"
-FILE = "file"
-ANGLES = {"azimuth_deg": 360, "elevation_deg": 90, "roll_deg": 360}
-"""Columns of the table and how far from 0 they may be, in degrees and in the conventions of `geometry.camera.Pose`."""
+FILE, ROLL = "file", "roll_deg"
+ANGLES = {"azimuth_deg": 360, "elevation_deg": 90, ROLL: 360}
+"""Columns of the table and how far from 0 they may be, in degrees and in the conventions of `geometry.camera.Pose`.
+
+Rolls are read as those from -180 to 180, so that 359 and 1 are neighbours where a median is taken."""
 
 Angles = dict[str, tuple[float, ...]]
 """Azimuth, elevation and roll in radians, by a picture's path below the table's folder."""
 
 
-def read_viewpoints(path: Path, names: Names) -> TruthBySplit:
+def read_angles(path: Path) -> Angles:
     """Read the viewpoints of pictures from `poses.csv` above `train` and `test`.
 
-    Raises DataError for a table that is missing or cannot be read, for two tables, for a picture without a row, and for
-    one with two.
+    Raises DataError for a table that is missing or cannot be read, for two tables, and for a picture with two rows.
     """
-    angles = _read_angles(path)
+    tables = dict(read_files(path, is_table))
+    if not tables:
+        raise DataError(f"{path} has no {TABLE}; expected one with the columns {', '.join((FILE, *ANGLES))}")
+    if len(tables) > 1:
+        raise DataError(f"{path} has the tables {' and '.join(map(str, tables))}; keep the one that is right")
+    ((name, content),) = tables.items()
+    return _parse(f"{path}: {name}", _text(f"{path}: {name}", content))
+
+
+def require_rows(path: Path, angles: Angles, pictures: Iterable[Picture]) -> Iterator[Picture]:
+    """Pass pictures of a source on. Raises DataError for one whose viewpoint is not known, as soon as it is met."""
+    for picture in pictures:
+        if (name := _place(picture.split, picture.category, picture.name)) not in angles:
+            raise DataError(f"{path}: {TABLE} has no row for {name}; every picture needs one")
+        yield picture
+
+
+def viewpoints(angles: Angles, names: Names) -> TruthBySplit:
+    """Return the viewpoints of pictures, all of which have a row, in the order of their names."""
     return {
         split: {
-            category: _truth(path, angles, [f"{split}/{category}/{name}" for name in ordered])
+            category: viewpoints_of_boxes([angles[_place(split, category, name)] for name in ordered])
             for category, ordered in group.items()
         }
         for split, group in names.items()
@@ -40,16 +59,6 @@ def read_viewpoints(path: Path, names: Names) -> TruthBySplit:
 def is_table(name: PurePosixPath) -> bool:
     """Tell whether a path inside the source names a table."""
     return name.name == TABLE and not is_hidden(name)
-
-
-def _read_angles(path: Path) -> Angles:
-    tables = dict(read_files(path, is_table))
-    if not tables:
-        raise DataError(f"{path} has no {TABLE}; expected one with the columns {', '.join((FILE, *ANGLES))}")
-    if len(tables) > 1:
-        raise DataError(f"{path} has the tables {' and '.join(map(str, tables))}; keep the one that is right")
-    ((name, content),) = tables.items()
-    return _parse(f"{path}: {name}", _text(f"{path}: {name}", content))
 
 
 def _text(where: str, content: bytes) -> str:
@@ -85,15 +94,11 @@ def _radians(where: str, column: str, text: str) -> float:
         raise DataError(
             f"{where}: {column} is {text!r}; expected an angle from {-ANGLES[column]} to {ANGLES[column]} degrees"
         )
-    return math.radians(angle)
+    return math.radians(math.remainder(angle, 360) if column == ROLL else angle)
 
 
-def _truth(path: Path, angles: Mapping[str, tuple[float, ...]], names: Sequence[str]) -> Viewpoints:
-    composed = [_composed(name) for name in names]
-    unknown = [name for name in composed if name not in angles]
-    if unknown:
-        raise DataError(f"{path}: {TABLE} has no row for {unknown[0]}; every picture needs one")
-    return viewpoints_of_boxes([angles[name] for name in composed])
+def _place(split: str, category: str, name: str) -> str:
+    return _composed(f"{split}/{category}/{name}")
 
 
 def _composed(name: str) -> str:

@@ -9,7 +9,7 @@ from pipeline.datasets.cifar10 import Cifar10Config, read_cifar10
 from pipeline.datasets.decoding import Fit
 from pipeline.datasets.folder import FolderConfig, read_folder
 from pipeline.datasets.pascal3d import Pascal3dConfig, read_pascal3d
-from pipeline.datasets.posed_folder import read_viewpoints
+from pipeline.datasets.posed_folder import read_angles, require_rows, viewpoints
 from pipeline.datasets.prepared import TruthBySplit, write_images, write_pictures
 from pipeline.datasets.toybox.toybox import ToyboxConfig, make_toybox
 from pipeline.errors import ConfigError
@@ -81,8 +81,9 @@ def prepare(config: PrepareConfig, folder: Path) -> TruthBySplit:
             write_pictures(folder, read_folder(config.source, settings))
             return {}
         case "posed_folder", FolderConfig() as settings:
-            names = write_pictures(folder, read_folder(config.source, settings))
-            return read_viewpoints(config.source, names)
+            angles = read_angles(config.source)
+            pictures = require_rows(config.source, angles, read_folder(config.source, settings))
+            return viewpoints(angles, write_pictures(folder, pictures))
         case "pascal3d", Pascal3dConfig() as settings:
             images, truth = read_pascal3d(config.source, settings)
             write_images(folder, images)

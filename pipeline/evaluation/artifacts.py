@@ -55,6 +55,7 @@ class Truth(NamedTuple):
     """Ground truth of one split of a category: viewpoints, and the objects where they are known."""
 
     pose: Pose
+    """In the dataset's frame; where viewpoints alone are known, the centre is 0 and the scale NaN."""
     objects: "TrueObjects | None"
 
 

@@ -1,6 +1,7 @@
 """Structure from motion on photographs of a category: COLMAP (Schoenberger & Frahm 2016), a baseline (paper 4.1)."""
 
 import re
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -74,7 +75,7 @@ def run_colmap(
         found = pycolmap.incremental_mapping(database, pictures, models, options=mapping)
     log = _read_log(folder)
     registered = max((model.num_reg_images() for model in found.values()), default=0)
-    figures = _database_figures(pycolmap.Database.open(database))
+    figures = _database_figures(pycolmap.Database.open(database), pycolmap)
     figures["registered"] = mean_figure(torch.arange(len(chosen)) < registered)
     return figures | {"says": _verdict(log)}, log
 
@@ -123,11 +124,13 @@ def _verdict(log: str) -> list[str]:
     return list(dict.fromkeys(message.removeprefix("=> ") for _, message in lines))
 
 
-def _database_figures(database: Any) -> dict[str, Figure]:
-    features = [database.num_keypoints_for_image(image.image_id) for image in database.read_all_images()]
-    _, agreeing = database.read_two_view_geometry_num_inliers()
-    pairs = len(features) * (len(features) - 1) // 2
+def _database_figures(database: Any, pycolmap: Any) -> dict[str, Figure]:
+    images = [image.image_id for image in database.read_all_images()]
+    features = [database.num_keypoints_for_image(image) for image in images]
+    pairs, agreeing = database.read_two_view_geometry_num_inliers()
+    matched = (pycolmap.pair_id_to_image_pair(pair) for pair, count in zip(pairs, agreeing, strict=True) if count)
+    partners = Counter(image for pair in matched for image in pair)
     return {
         "features": mean_figure(torch.tensor(features).double()),
-        "verified_pairs": mean_figure(torch.arange(pairs) < sum(count > 0 for count in agreeing)),
+        "verified_pairs": mean_figure(torch.tensor([partners[image] for image in images]) / (len(images) - 1)),
     }

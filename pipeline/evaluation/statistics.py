@@ -8,7 +8,7 @@ from torch import Tensor
 
 Columns = dict[str, Tensor]
 """Values by name, one a picture."""
-Figure = dict[str, float | int]
+Figure = dict[str, float | int | None]
 Figures = dict[str, Any]
 """Figures by name, in sections."""
 
@@ -20,11 +20,12 @@ ROUNDING = 1e-6
 def mean_figure(values: Float[Tensor, " B"] | Bool[Tensor, " B"]) -> Figure:
     """Summarize samples, or how often something holds, by their mean.
 
-    The standard error is the sample standard deviation over the square root of n; for one sample it is 0.
+    The standard error is the sample standard deviation over the square root of n: 0 where all samples are alike, None
+    for a single one, which says nothing of it.
     """
     count = len(values)
-    spread = values.double().std().item() if count > 1 else 0.0
-    return {"value": values.double().mean().item(), "n": count, "standard_error": spread / count**0.5}
+    error = values.double().std().item() / count**0.5 if count > 1 else None
+    return {"value": values.double().mean().item(), "n": count, "standard_error": error}
 
 
 def mean_figures(columns: Columns) -> dict[str, Figure]:
@@ -32,7 +33,7 @@ def mean_figures(columns: Columns) -> dict[str, Figure]:
     return {name: mean_figure(values) for name, values in columns.items()}
 
 
-def accuracy_figure(hits: Float[Tensor, " B"] | Bool[Tensor, " B"]) -> dict[str, float | int]:
+def accuracy_figure(hits: Float[Tensor, " B"] | Bool[Tensor, " B"]) -> Figure:
     """Summarize how often estimates are right: `acc_pi6`, with n and standard error beside it."""
     figure = mean_figure(hits)
     return {"acc_pi6": figure.pop("value"), **figure}
@@ -55,12 +56,15 @@ def correlation_figure(first: Float[Tensor, " B"], second: Float[Tensor, " B"]) 
 
 
 def median_figure(values: Float[Tensor, " B"], rng: torch.Generator) -> Figure:
-    """Summarize samples by their median, with the standard deviation of bootstrapped medians as standard error."""
+    """Summarize samples by their median, with the standard deviation of bootstrapped medians as standard error.
+
+    A single sample has none.
+    """
     count = len(values)
     draws = torch.randint(count, (BOOTSTRAP_DRAWS, count), generator=rng)
     medians = values.double()[draws].quantile(0.5, dim=1)
     return {
         "value": values.double().quantile(0.5).item(),
         "n": count,
-        "standard_error": medians.std().item(),
+        "standard_error": medians.std().item() if count > 1 else None,
     }

@@ -7,6 +7,7 @@ from typing import Any
 import pandas
 from torch import Tensor
 
+from pipeline.errors import DataError
 from pipeline.evaluation.pose import MODES
 from pipeline.files import atomic_path
 
@@ -19,8 +20,11 @@ def write_table(path: Path, columns: Mapping[str, Tensor]) -> None:
 
 
 def read_table(path: Path) -> dict[str, list[str]]:
-    """Read the columns of a CSV file as text."""
-    table = pandas.read_csv(path, dtype=str, keep_default_na=False)
+    """Read the columns of a CSV file as text. Raises DataError where it is damaged."""
+    try:
+        table = pandas.read_csv(path, dtype=str, keep_default_na=False)
+    except (ValueError, UnicodeDecodeError) as error:
+        raise DataError(f"{path} is damaged ({str(error).strip()}); run the stage that writes it again") from None
     return {str(name): values.tolist() for name, values in table.items()}
 
 

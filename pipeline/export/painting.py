@@ -124,16 +124,16 @@ def minimize_quadratic(loss: Callable[[Unknowns], Float[Tensor, ""]], start: Unk
 
     at_start, zero = gradient(start), gradient([torch.zeros_like(value) for value in start])
     values, residual = start, [-part for part in at_start]
-    direction, size = residual, _dot(residual, residual)
+    direction, squared_norm = residual, _dot(residual, residual)
     for _ in range(iterations):
-        if size == 0:
+        if squared_norm == 0:
             break
         curvature = [part - offset for part, offset in zip(gradient(direction), zero, strict=True)]
-        step = size / _dot(direction, curvature)
+        step = squared_norm / _dot(direction, curvature)
         values = _add(values, step, direction)
         residual = _add(residual, -step, curvature)
-        size, previous = _dot(residual, residual), size
-        direction = _add(residual, size / previous, direction)
+        squared_norm, previous = _dot(residual, residual), squared_norm
+        direction = _add(residual, squared_norm / previous, direction)
     return values
 
 

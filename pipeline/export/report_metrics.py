@@ -7,7 +7,7 @@ from typing import Any
 
 from pipeline.evaluation.tables import figure_rows
 from pipeline.export.charts import Axis, Point, histogram, line_chart, scatter
-from pipeline.export.report_page import Section, Tile, figure_cell, folded, grid, table
+from pipeline.export.report_page import Section, Tile, error_of, figure_cell, folded, grid, table
 
 BASELINES = ("chance", "constant")
 ROW_NAMES = {
@@ -46,7 +46,7 @@ def headline(figures: Mapping[str, Any]) -> list[Tile]:
             f"{improved['value']:.1%}",
             "",
             "of pictures improved by fine-tuning",
-            f"feature distance {before:.1f} → {after:.1f}",
+            f"feature distance {before:.1f} → {after:.1f} · n = {improved['n']}",
         ),
         _tile(
             similarity,
@@ -204,4 +204,4 @@ def _words(name: str) -> str:
 
 
 def _tile(figure: Mapping[str, Any], label: str, note: str) -> Tile:
-    return Tile(f"{figure['value']:.3f}", f"± {figure['standard_error']:.3f}", label, note)
+    return Tile(f"{figure['value']:.3f}", error_of(figure), label, note)

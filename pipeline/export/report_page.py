@@ -66,10 +66,19 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], baselines: Seque
 
 
 def figure_cell(figure: Mapping[str, Any] | None, key: str = "value", digits: int = 3) -> str:
-    """Write a figure with its standard error, or a dash where there is none."""
+    """Write a figure with its standard error, or its deviation over seeds; a dash where there is no figure."""
     if figure is None:
         return "–"
-    return f"{figure[key]:.{digits}f} <small>± {figure['standard_error']:.{digits}f}</small>"
+    spread = error_of(figure, digits)
+    return f"{figure[key]:.{digits}f}" + (f" <small>{spread}</small>" if spread else "")
+
+
+def error_of(figure: Mapping[str, Any], digits: int = 3) -> str:
+    """Write what a figure's spread is: its standard error, or the deviation of several seeds; nothing where unknown."""
+    if "deviation" in figure:
+        return f"SD {figure['deviation']:.{digits}f}"
+    error = figure["standard_error"]
+    return "" if error is None else f"± {error:.{digits}f}"
 
 
 def image(address: str, description: str, pixels: bool = False) -> str:

@@ -29,13 +29,13 @@ COLUMNS = {
     "SSIM, fine-tuned": ("reconstruction.tuned.ssim", 3),
 }
 INTRODUCTION = (
-    "Each figure stands over its standard error; a row of several seeds has their mean and standard deviation. A dash "
-    "stands where a figure was not measured: poses and shapes need a dataset whose truth is known. Constant is the one "
-    "pose that suits the training split best, retrieved the training photograph whose colours are most alike."
+    "Each figure stands over its standard error; a row of several seeds has their mean and standard deviation (SD). A "
+    "dash stands where a figure was not measured: poses and shapes need a dataset whose truth is known. Constant is "
+    "the one pose that suits the training split best, retrieved the training photograph whose colours are most alike."
 )
 
 Cell = Mapping[str, Any]
-"""A value with its standard error and n, which some figures lack."""
+"""A value with its standard error and n, which some figures lack, or with its deviation over seeds."""
 
 
 class MeasuredRun(NamedTuple):
@@ -102,6 +102,6 @@ def _over_seeds(figures: Sequence[Sequence[Cell | None]]) -> list[Cell | None]:
     columns = []
     for column in zip(*figures, strict=True):
         values = [figure["value"] for figure in column if figure is not None]
-        spread = {"value": mean(values), "standard_error": stdev(values)} if len(values) == len(column) else None
+        spread = {"value": mean(values), "deviation": stdev(values)} if len(values) == len(column) else None
         columns.append(spread)
     return columns

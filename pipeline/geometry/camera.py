@@ -104,8 +104,9 @@ def place_in_picture(
 ) -> Pose:
     """Choose the pose's centre and scale so that the object's box in the picture has a given middle and longer side.
 
-    The middle is in ndc, the extent relative to the picture's side. Each side of the box is the mean of the outermost
-    vertices there, this share of all, at 0 a single one. Gradients flow to everything.
+    Angles are in radians, the middle is in ndc, the extent relative to the picture's side. Each side of the box is the
+    mean of the outermost vertices there: `rim` is their share of all, at 0 a single one. Gradients flow to everything
+    else.
     """
     plain = Pose(azimuth, elevation, roll, torch.zeros_like(center), torch.ones_like(extent))
     xy_ndc = project(vertices, plain, camera)[..., :2]

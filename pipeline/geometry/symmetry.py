@@ -23,11 +23,13 @@ def mirror_index(vertices: Float[Tensor, "V 3"]) -> Int[Tensor, " V"]:
     distances = torch.cdist(reflect(vertices).double(), vertices.double(), compute_mode="donot_use_mm_for_euclid_dist")
     distance, index = distances.min(dim=1)
     identity = torch.arange(len(vertices), device=vertices.device)
-    if distance.max() > PARTNER_TOLERANCE or not torch.equal(index[index], identity):
+    if distance.max() > PARTNER_TOLERANCE:
         raise MeshError(
             f"the mesh is not mirror-symmetric about x = 0: a vertex is {distance.max():.2g} away from its image, "
             f"expected at most {PARTNER_TOLERANCE:.2g}; symmetrise the mesh first"
         )
+    if not torch.equal(index[index], identity):
+        raise MeshError("the mesh has vertices in one place, so that two share a mirror image; merge them first")
     return index
 
 

@@ -43,7 +43,7 @@ class EncoderConfig:
     def __post_init__(self) -> None:
         """Raise ConfigError for channels that cannot be normalised in groups."""
         if self.width % NORMALIZATION_GROUPS:
-            raise ConfigError(f"encoder.width is {self.width}; expected a multiple of {NORMALIZATION_GROUPS}")
+            raise ConfigError(f"width is {self.width}; expected a multiple of {NORMALIZATION_GROUPS}")
 
 
 class EncoderBlock(nn.Module):

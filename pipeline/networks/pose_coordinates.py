@@ -36,9 +36,9 @@ class PoseRange:
         for field in fields(self):
             lowest, highest = getattr(self, field.name)
             if lowest > highest:
-                raise ConfigError(f"pose_range.{field.name} is [{lowest}, {highest}]; expected the lower bound first")
+                raise ConfigError(f"{field.name} is [{lowest}, {highest}]; expected the lower bound first")
             if field.name in ("roll", "center") and lowest != -highest:
-                raise ConfigError(f"pose_range.{field.name} is [{lowest}, {highest}]; expected as far to either side")
+                raise ConfigError(f"{field.name} is [{lowest}, {highest}]; expected as far to either side")
 
 
 class PoseCoordinates(nn.Module):

@@ -25,13 +25,13 @@ def require_change(path: Path, document: CommentedMap, options: Options) -> None
             f"ablation '{options.ablation}' changes nothing of row '{options.row}' at size '{options.size}'; leave "
             "ABLATION= out"
         )
-    for of_size, of_ablation, what in (
-        (usual.iterations, changed.iterations, "iterations"),
-        (usual.model.renderer.size, changed.model.renderer.size, "pixels a side"),
+    for of_size, of_ablation, does, what in (
+        (usual.iterations, changed.iterations, "trains for", "iterations"),
+        (usual.model.renderer.size, changed.model.renderer.size, "trains on pictures of", "px"),
     ):
         if of_ablation < of_size:
             raise ConfigError(
-                f"ablation '{options.ablation}' trains for {of_ablation} {what}, fewer than the {of_size} of size "
+                f"ablation '{options.ablation}' {does} {of_ablation} {what}, less than the {of_size} of size "
                 f"'{options.size}'; leave one of the two out"
             )
 
@@ -80,7 +80,7 @@ def require_parts_of_baseline(path: Path, options: Options, picture_size: int) -
 
 
 def _require_that_hologan_draws(path: Path, options: Options, picture_size: int) -> None:
-    """Refuse a size whose pictures are larger than those that HoloGAN draws at it."""
+    """Refuse pictures of another size than those that HoloGAN draws."""
     settings = load(path, HoloGANTrainingConfig, options.sections("train_hologan"))
     drawn = settings.network.image_size
     if drawn != picture_size:

@@ -44,7 +44,7 @@ class ShapeSearchConfig:
 
     def __post_init__(self) -> None:
         """Raise ConfigError for a step whose bounds are the wrong way round."""
-        check_step("shapes.step", self.step)
+        check_step("step", self.step)
 
 
 @dataclass(frozen=True)

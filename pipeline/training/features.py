@@ -61,7 +61,7 @@ class FeaturesConfig:
     def __post_init__(self) -> None:
         """Raise ConfigError for a depth that no wide residual network has."""
         if self.depth < 10 or self.depth % 6 != 4:
-            raise ConfigError(f"train_features.depth is {self.depth}; expected 10, 16, 22, 28 or so on")
+            raise ConfigError(f"depth is {self.depth}; expected 10, 16, 22, 28 or so on")
 
 
 class Pictures(NamedTuple):

@@ -80,7 +80,7 @@ class FullTrainingConfig:
         """Raise ConfigError for ends told before the first step, and for parts of mirror-symmetric objects alone."""
         if any(int(part * self.iterations) == 0 for part in self.ends.after):
             raise ConfigError(
-                f"train_full.ends.after is {list(self.ends.after)}, but ends cannot be told before the first of "
+                f"ends.after is {list(self.ends.after)}, but ends cannot be told before the first of "
                 f"{self.iterations} iterations; expected parts of at least 1/{self.iterations}"
             )
         if not self.model.shape.mirror:
@@ -91,8 +91,8 @@ class FullTrainingConfig:
             ):
                 if value:
                     raise ConfigError(
-                        f"train_full.{name} is for mirror-symmetric objects, but train_full.model.shape.mirror is "
-                        "false; expected null, [] or 0, as in the ablation no-symmetry"
+                        f"{name} is for mirror-symmetric objects, but model.shape.mirror is false; expected null, [] "
+                        "or 0, as in the ablation no-symmetry"
                     )
 
     @property

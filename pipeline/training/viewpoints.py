@@ -30,7 +30,7 @@ class AngleConfig:
     def __post_init__(self) -> None:
         """Raise ConfigError for an interval that ends below its start."""
         if self.low > self.high:
-            raise ConfigError(f"an angle of viewpoint lies between {self.low} and {self.high}; expected low first")
+            raise ConfigError(f"low is {self.low} and high is {self.high}; expected the smaller angle as low")
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class ViewpointConfig:
         """Raise ConfigError for elevations beyond the poles."""
         if self.elevation.low < -90 or self.elevation.high > 90:
             raise ConfigError(
-                f"viewpoint.elevation is {self.elevation.low} to {self.elevation.high}; expected degrees from -90 to 90"
+                f"elevation is {self.elevation.low} to {self.elevation.high}; expected degrees from -90 to 90"
             )
 
 

@@ -131,7 +131,7 @@ def test_a_loss_that_is_not_a_number_keeps_the_state_before_it(
         return scene, rendered * float("nan") if calls == 4 else rendered
 
     monkeypatch.setattr(SeedTrainer, "generate", broken)
-    with pytest.raises(TrainingDiverged, match="iteration 3"):
+    with pytest.raises(TrainingDiverged, match="iteration 4;"):
         learn(tmp_path, images, extractor, CONFIG)
     state = Checkpoint(tmp_path, "key").part("0").load()
     assert state is not None

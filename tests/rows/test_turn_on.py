@@ -58,7 +58,7 @@ def test_sharper_textures_want_larger_pictures(params: Path, photographs: Path) 
     assert document["datasets"]["cars"]["folder"] == {"size": 64, "fit": "pad"}
     assert document["runs"]["cars-car-sharper"]["base_shape"] == "cars-car"
     assert document["base_shapes"]["cars-car"]["size"] == "laptop"
-    with pytest.raises(ConfigError, match="'sharper' trains for 64 pixels a side, fewer than the 128 of size"):
+    with pytest.raises(ConfigError, match="'sharper' trains on pictures of 64 px, less than the 128 of size"):
         turn_on(params, sharper._replace(size="paper-imagenet", dataset="cars128"))
 
 
@@ -170,7 +170,7 @@ def test_a_base_shape_is_shared_where_the_ablation_leaves_it(params: Path, ablat
 
 def test_longer_training_is_no_shorter(params: Path) -> None:
     before = params.read_bytes()
-    words = "ablation 'longer' trains for 2400 iterations, fewer than the 10000 of size 'paper'"
+    words = "ablation 'longer' trains for 2400 iterations, less than the 10000 of size 'paper'"
     with pytest.raises(ConfigError, match=words):
         turn_on(params, Options("toybox-car", size="paper", ablation="longer"))
     assert params.read_bytes() == before

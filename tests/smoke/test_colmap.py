@@ -66,6 +66,17 @@ def test_pictures_of_one_scene_match(tmp_path: Path) -> None:
     assert figures["features"]["value"] > 100
 
 
+def test_a_picture_of_something_else_has_no_partner(tmp_path: Path) -> None:
+    noise = torch.rand(2, 3, 48, 48, generator=torch.Generator().manual_seed(0))
+    scenes = functional.interpolate(noise, scale_factor=8, mode="bicubic").clamp(0, 1)
+    pictures = torch.stack(
+        [scenes[0, :, :256, 30 * number :][..., :256] for number in range(3)] + [scenes[1, :, :256, :256]]
+    )
+    figures, _ = _evaluate((pictures * 255).byte().permute(0, 2, 3, 1).numpy(), tmp_path)
+    assert figures["verified_pairs"]["value"] == pytest.approx((3 * 2 / 3 + 0) / 4)
+    assert figures["verified_pairs"]["n"] == 4
+
+
 def test_one_photograph_has_no_pair(tmp_path: Path) -> None:
     one = torch.zeros(1, 3, 32, 32, dtype=torch.uint8)
     with pytest.raises(DataError, match="there is only one"):

@@ -18,6 +18,18 @@ class Angle:
 
 
 @dataclass(frozen=True)
+class Interval(Angle):
+    def __post_init__(self) -> None:
+        if self.low > self.high:
+            raise ConfigError(f"low is {self.low} and high is {self.high}")
+
+
+@dataclass(frozen=True)
+class Sector:
+    interval: Interval
+
+
+@dataclass(frozen=True)
 class Stage:
     iterations: Count
     rate: Positive
@@ -218,3 +230,11 @@ def test_files_that_are_no_parameters_are_named(tmp_path: Path) -> None:
             scalar(tmp_path / name, "device")
     with pytest.raises(ConfigError, match="does not exist"):
         scalar(tmp_path / "no", "device")
+
+
+def test_values_that_do_not_go_together_are_named_with_file_and_section(tmp_path: Path) -> None:
+    path = tmp_path / "params.yaml"
+    path.write_text("sector: {interval: {low: 2, high: 1}}")
+    with pytest.raises(ConfigError) as caught:
+        load(path, Sector, ["sector"])
+    assert str(caught.value) == f"{path}: sector.interval: low is 2.0 and high is 1.0"

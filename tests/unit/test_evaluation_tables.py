@@ -1,9 +1,12 @@
 from pathlib import Path
 
+import pytest
 import torch
 
+from pipeline.errors import DataError
 from pipeline.evaluation.statistics import correlation_figure, mean_figure, median_figure
 from pipeline.evaluation.tables import figure_rows, format_figures, read_table, write_table
+from pipeline.seeding import generator
 
 METRICS = {
     "alignment": {"degrees": 180.0, "n": 50},
@@ -20,17 +23,19 @@ METRICS = {
 
 def test_standard_error_of_a_mean() -> None:
     assert mean_figure(torch.tensor([1.0, 3.0])) == {"value": 2.0, "n": 2, "standard_error": 1.0}
-    assert mean_figure(torch.tensor([True]))["standard_error"] == 0
+    assert mean_figure(torch.tensor([True, True]))["standard_error"] == 0
+    assert mean_figure(torch.tensor([True])) == {"value": 1.0, "n": 1, "standard_error": None}
+    assert median_figure(torch.ones(1), generator(0))["standard_error"] is None
 
 
 def test_correlation_of_what_varies_together_against_each_other_and_not_at_all() -> None:
     values = torch.randn(2000, generator=torch.Generator().manual_seed(0))
     noise = torch.randn(2000, generator=torch.Generator().manual_seed(1))
-    assert abs(correlation_figure(values, 3 * values + 1)["value"] - 1) < 1e-9
-    assert abs(correlation_figure(values, -values)["value"] + 1) < 1e-9
+    assert correlation_figure(values, 3 * values + 1)["value"] == pytest.approx(1, abs=1e-9)
+    assert correlation_figure(values, -values)["value"] == pytest.approx(-1, abs=1e-9)
     half = correlation_figure(values, values + noise)
-    assert abs(half["value"] - 0.5**0.5) < 0.05
-    assert abs(half["standard_error"] - 0.5 / 2000**0.5) < 2e-3
+    assert half["value"] == pytest.approx(0.5**0.5, abs=0.05)
+    assert half["standard_error"] == pytest.approx(0.5 / 2000**0.5, abs=2e-3)
     for constant in (torch.zeros(2000), 1 + 1e-7 * values):
         assert correlation_figure(values, constant)["value"] == 0
     for count in (1, 2):
@@ -40,8 +45,8 @@ def test_correlation_of_what_varies_together_against_each_other_and_not_at_all()
 def test_standard_error_of_a_normal_median() -> None:
     rng = torch.Generator().manual_seed(0)
     figure = median_figure(torch.randn(2000, generator=rng), rng)
-    assert abs(figure["value"]) < 0.1
-    assert abs(figure["standard_error"] - 1.2533 / 2000**0.5) < 0.006
+    assert figure["value"] == pytest.approx(0, abs=0.1)
+    assert figure["standard_error"] == pytest.approx(1.2533 / 2000**0.5, abs=0.006)
 
 
 def test_rows_carry_n_and_standard_error() -> None:
@@ -75,3 +80,10 @@ def test_table_round_trip(tmp_path: Path) -> None:
     )
     assert path.read_text() == "test_index,error_mode_tuned,ssim\n3,correct,0.500000\n1,flipped,1.000000\n"
     assert read_table(path)["error_mode_tuned"] == ["correct", "flipped"]
+
+
+@pytest.mark.parametrize("content", [b"", b"a,b\n1,2,3\n4,5,6,7\n", "h\u00f6he\n1".encode("latin-1")])
+def test_a_damaged_table_is_named(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "cars.csv").write_bytes(content)
+    with pytest.raises(DataError, match=r"cars\.csv is damaged \(.*\); run the stage that writes it again"):
+        read_table(tmp_path / "cars.csv")

@@ -204,7 +204,7 @@ def test_a_bad_release_is_one_sentence(tmp_path: Path, files: dict[str, bytes], 
 
 
 def test_no_category_is_too_few() -> None:
-    with pytest.raises(ConfigError, match=r"prepare_data\.pascal3d: categories is empty; expected at least one"):
+    with pytest.raises(ConfigError, match="categories is empty; expected at least one"):
         Pascal3dConfig(size=64, categories=())
 
 

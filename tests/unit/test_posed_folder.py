@@ -6,9 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.datasets.folder import FolderConfig, read_folder
-from pipeline.datasets.posed_folder import read_viewpoints
-from pipeline.datasets.prepared import write_pictures, write_truth
+from pipeline.datasets.folder import FolderConfig
+from pipeline.datasets.posed_folder import read_angles, viewpoints
+from pipeline.datasets.prepare import PrepareConfig, prepare
+from pipeline.datasets.prepared import write_truth
 from pipeline.datasets.truth import Viewpoints
 from pipeline.errors import DataError
 from pipeline.evaluation.artifacts import load_truth
@@ -26,7 +27,7 @@ def table(*changed: str) -> bytes:
 def test_viewpoints_stand_in_the_order_of_the_pictures(tmp_path: Path) -> None:
     files = {**tree(), "poses.csv": table()}
     source = write_tar(tmp_path / "cars.tar", dict(reversed(files.items())))
-    truths = read_viewpoints(source, write_pictures(tmp_path, read_folder(source, CONFIG)))
+    truths = prepare(PrepareConfig("posed_folder", source, CONFIG), tmp_path / "pictures")
     truth = truths["test"]["horse"]
     assert isinstance(truth, Viewpoints)
     expected = [10.0 * list(tree()).index(f"test/horse/{number}.jpg") for number in (1, 2)]
@@ -44,7 +45,7 @@ def test_lines_may_end_as_on_any_system(tmp_path: Path) -> None:
     truths = []
     for number, ending in enumerate((b"\n", b"\r\n", b"\r")):
         source = write_folder(tmp_path / str(number), tree(**{"poses.csv": table().replace(b"\n", ending)}))
-        truths.append(read_viewpoints(source, names)["train"]["car"])
+        truths.append(viewpoints(read_angles(source), names)["train"]["car"])
     for truth in truths[1:]:
         np.testing.assert_array_equal(truth.azimuth, truths[0].azimuth)
 
@@ -54,7 +55,7 @@ def test_accents_may_be_written_in_two_ways(tmp_path: Path) -> None:
     for name, other in ((composed, decomposed), (decomposed, composed)):
         rows = f"{HEADER}\ntrain,{other},30,0,0"
         source = write_folder(tmp_path / str(len(name)), {name: b"", "poses.csv": rows.encode()})
-        truth = read_viewpoints(source, {"train": {"car": [name.removeprefix("train/car/")]}})["train"]["car"]
+        truth = viewpoints(read_angles(source), {"train": {"car": [name.removeprefix("train/car/")]}})["train"]["car"]
         np.testing.assert_allclose(np.degrees(truth.azimuth), [30])
 
 
@@ -62,11 +63,11 @@ def test_one_table_counts_and_hidden_ones_do_not(tmp_path: Path) -> None:
     names = {"train": {"car": ["1.jpg", "2.jpg"]}}
     files = tree(**{"poses.csv": table(), ".old/poses.csv": b"old", "train/._poses.csv": b""})
     source = write_folder(tmp_path, files)
-    truth = read_viewpoints(source, names)["train"]["car"]
+    truth = viewpoints(read_angles(source), names)["train"]["car"]
     np.testing.assert_allclose(np.degrees(truth.azimuth), [0, 10])
     write_folder(tmp_path, {"notes/poses.csv": table()})
     with pytest.raises(DataError, match=r"has the tables notes/poses\.csv and poses\.csv; keep the one that is right"):
-        read_viewpoints(source, names)
+        read_angles(source)
 
 
 @pytest.mark.parametrize(
@@ -89,4 +90,21 @@ def test_one_table_counts_and_hidden_ones_do_not(tmp_path: Path) -> None:
 def test_a_bad_table_is_one_sentence(tmp_path: Path, content: bytes | None, message: str) -> None:
     source = write_folder(tmp_path, tree(**{"poses.csv": content}))
     with pytest.raises(DataError, match=message):
-        read_viewpoints(source, {"train": {"car": ["1.jpg"]}})
+        prepare(PrepareConfig("posed_folder", source, CONFIG), tmp_path / "pictures")
+
+
+def test_a_bad_table_is_found_before_the_pictures_are_read(tmp_path: Path) -> None:
+    source = write_folder(
+        tmp_path / "cars", {**tree(), "train/car/1.jpg": b"broken", "poses.csv": HEADER.encode()[:-9]}
+    )
+    with pytest.raises(DataError, match=r"poses\.csv has no column roll_deg"):
+        prepare(PrepareConfig("posed_folder", source, CONFIG), tmp_path / "pictures")
+
+
+def test_rolls_on_either_side_of_0_are_neighbours(tmp_path: Path) -> None:
+    rows = ("train,train/car/1.jpg,350,0,359", "train,train/car/2.jpg,0,0,1")
+    source = write_folder(tmp_path, tree(**{"poses.csv": table(*rows)}))
+    truth = viewpoints(read_angles(source), {"train": {"car": ["1.jpg", "2.jpg"]}})["train"]["car"]
+    assert isinstance(truth, Viewpoints)
+    np.testing.assert_allclose(np.degrees(truth.roll), [-1, 1])
+    np.testing.assert_allclose(np.degrees(truth.azimuth), [350, 0])

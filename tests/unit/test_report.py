@@ -142,7 +142,7 @@ def test_headline_compares_fine_tuned_pictures_with_those_before() -> None:
         "of predicted poses within 30°": ("0.500", "0.750 fine-tuned · chance 0.150 · constant 0.300 · n = 4"),
         "volume IoU of the base shape after full training": ("0.550", "constant 0.400"),
         "mask IoU, predicted": ("0.700", "0.750 fine-tuned · constant 0.450"),
-        "of pictures improved by fine-tuning": ("75.0%", "feature distance 0.5 → 0.4"),
+        "of pictures improved by fine-tuning": ("75.0%", "feature distance 0.5 → 0.4 · n = 4"),
         "structural similarity, fine-tuned": ("0.600", "0.500 before fine-tuning"),
     }
 

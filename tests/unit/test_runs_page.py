@@ -30,9 +30,15 @@ def test_runs_stand_with_their_errors_and_seeds_with_their_mean(tmp_path: Path) 
     column = 1 + list(COLUMNS).index("distance, fine-tuned")
     assert table["car"][0] == "7"
     assert table["car"][column] == "1.00 <small>± 0.50</small>"
-    assert table["car, 2 seeds"][column] == "2.00 <small>± 1.41</small>"
+    assert table["car, 2 seeds"][column] == "2.00 <small>SD 1.41</small>"
     assert set(table["horse"][1:column]) == {"–"}
     assert re.findall(r'<td><a href="(.*?)">', text) == ["horse/index.html"]
+
+
+def test_a_single_picture_has_no_error(tmp_path: Path) -> None:
+    alone = {"value": 3, "standard_error": None, "n": 1}
+    write_runs_page(tmp_path / "a.html", [MeasuredRun("car", None, {"reconstruction": {"tuned": {"ssim": alone}}})])
+    assert rows((tmp_path / "a.html").read_text())["car"][-1] == "3.000"
 
 
 def test_seeds_of_a_baseline_are_one_experiment() -> None:

@@ -32,3 +32,9 @@ def test_lopsided_mesh_is_refused() -> None:
     vertices[0] += 0.01
     with pytest.raises(MeshError, match="not mirror-symmetric"):
         mirror_index(vertices)
+
+
+def test_vertices_in_one_place_share_a_mirror_image() -> None:
+    vertices, _ = icosphere(1)
+    with pytest.raises(MeshError, match="vertices in one place, so that two share a mirror image; merge them"):
+        mirror_index(torch.cat([vertices, vertices[:1]]))

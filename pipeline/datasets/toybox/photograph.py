@@ -37,7 +37,7 @@ class PhotographConfig:
     def __post_init__(self) -> None:
         """Raise ConfigError if the object's rays cannot be shared out among the scenery's."""
         if self.supersampling < 1 or self.supersampling % SCENERY_SUPERSAMPLING:
-            raise ConfigError(f"the toybox's supersampling is {self.supersampling}; expected a positive even number")
+            raise ConfigError(f"supersampling is {self.supersampling}; expected a positive even number")
 
 
 def photograph(

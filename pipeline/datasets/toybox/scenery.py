@@ -23,7 +23,7 @@ class Rays(NamedTuple):
 
 
 class Footprint(NamedTuple):
-    """The space that each object takes up."""
+    """The space that each object takes up, in world units."""
 
     half_width: Float[np.ndarray, " B"]
     half_depth: Float[np.ndarray, " B"]
