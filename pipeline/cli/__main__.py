@@ -62,7 +62,7 @@ def _parser() -> ArgumentParser:
     view = add("view", "open the page of a run", project)
     view.add_argument("--run", help="default: the first run in params.yaml")
     view.set_defaults(command=_view)
-    runs = add("runs", "write and open one table of all runs' figures", project)
+    runs = add("runs", "write one table of all runs' figures", project)
     runs.set_defaults(command=_runs)
     _add_benchmark(add, project)
     doctor = add("doctor", "say what is installed and found, and what is missing", project)
