@@ -57,7 +57,7 @@ def resolve_processes(processes: object, device: torch.device, parts: int) -> in
     `auto` is one for each GPU where the work has independent `parts`, such as seeds; else for as many GPUs as are a
     power of two, by which batches divide. On a CPU two processes pay where there are parts; a shared batch is faster on
     the threads of one (docs/decisions/processes.md).
-    Raises ConfigError for anything else.
+    Raises ConfigError for anything else, and for more processes than GPUs where these share batches.
     """
     if processes == "auto":
         if device.type == "cuda":
@@ -66,6 +66,11 @@ def resolve_processes(processes: object, device: torch.device, parts: int) -> in
         return min(2, parts, torch.get_num_threads())
     if type(processes) is not int or processes < 1:
         raise ConfigError(f"processes of a stage are {processes!r}; expected auto or a whole number from 1")
+    if device.type == "cuda" and parts == 1 and processes > torch.cuda.device_count():
+        raise ConfigError(
+            f"processes of a stage are {processes}, but its batches are shared by one process a GPU, and there are "
+            f"{torch.cuda.device_count()} GPUs; expected at most as many"
+        )
     return processes
 
 

@@ -54,7 +54,7 @@ def format_figures(metrics: Mapping[str, Any]) -> str:
     width = max(len(name) for name, *_ in rows)
     lines = [f"{'figure':<{width}}      value   std. err.      n"]
     for name, value, error, count in rows:
-        spread = "" if error is None else f"{error:>11.4f} {count:>6}"
+        spread = "" if count is None else f"{'–' if error is None else format(error, '.4f'):>11} {count:>6}"
         lines.append(f"{name:<{width}} {value:>10.4f} {spread}".rstrip())
     return "\n".join(lines)
 

@@ -15,7 +15,7 @@ _REHEARSALS = 3
 
 
 class GraphedStep:
-    """Take steps of a training; on a GPU by a graph of one, which is captured after the first of them.
+    """Take steps of a training; on a GPU by a graph of one, which is captured after the first few.
 
     A step asks a GPU for thousands of small operations, and asking takes the host several times as long as they take
     the GPU. A captured step must ask nothing back and change everything in place: its inputs are tensors of the same

@@ -85,7 +85,7 @@ class Records:
         agree([lead])
         lead = functional.pad(lead, (0, len(self.visits) - len(lead))) * (self.visits > 0)
         self._turn(lead < 0)
-        if is_first():
+        if is_first() and lead.any():
             tqdm.write(f"ends told: {int((lead < 0).sum())} of {int((lead != 0).sum())} photographs turned round")
         return lead != 0
 

@@ -13,6 +13,7 @@ import trimesh
 from PIL import Image, ImageSequence
 from ruamel.yaml import YAML
 
+from pipeline.cli import gallery
 from pipeline.cli import reconstruct as reconstruction
 from pipeline.cli.finishing import Reading, writing
 from pipeline.datasets.decoding import Fit, decode
@@ -81,6 +82,17 @@ def test_a_page_shows_what_earlier_calls_have_made_too(project: Path, tmp_path: 
     reconstruct(project, str(tmp_path / "bus.png"), "--outputs", "mesh,picture,pose")
     text = (project / "out/index.html").read_text()
     assert re.findall(r'data-name="(.*?)"', text) == ["bus", "earlier/car", "later/van"]
+
+
+def test_a_page_shows_some_of_many_the_newest_first(
+    project: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gallery, "SHOWN", 1)
+    for name in ("car", "van"):
+        reconstruct(project, str(tmp_path / f"{name}.png"), "--outputs", "mesh,picture,pose")
+    text = (project / "out/index.html").read_text()
+    assert re.findall(r'data-name="(.*?)"', text) == ["van"]
+    assert "1 of 2 reconstructed photographs" in text
 
 
 def test_fine_tuning_changes_the_pose(project: Path, tmp_path: Path) -> None:

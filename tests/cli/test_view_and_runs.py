@@ -18,6 +18,17 @@ def test_view_opens_the_page(project: Path, monkeypatch: pytest.MonkeyPatch) -> 
     assert opened == [page.resolve().as_uri()]
 
 
+def test_view_says_where_the_page_is_without_a_browser(
+    project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    page = project / "results/report/toybox-car/index.html"
+    page.parent.mkdir(parents=True)
+    page.touch()
+    monkeypatch.setattr("webbrowser.open", lambda _: False)
+    main(["view", "--project", str(project)])
+    assert capsys.readouterr().out == f"open {page.resolve()}\n"
+
+
 def test_runs_writes_a_table_of_all_runs(
     project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -43,8 +43,10 @@ ROUNDING = 1e-9
 def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder, threads = tmp_path_factory.mktemp("one"), torch.get_num_threads()
     torch.set_num_threads(max(1, threads // 2))  # as each of two processes has: rounding differs with them
-    share_work(1, CPU, take_steps, folder)
-    torch.set_num_threads(threads)
+    try:
+        share_work(1, CPU, take_steps, folder)
+    finally:
+        torch.set_num_threads(threads)
     return folder
 
 
@@ -213,3 +215,11 @@ def test_auto_is_as_many_gpus_as_divide_batches_or_have_seeds(
     monkeypatch.setattr(torch.cuda, "device_count", lambda: gpus)
     assert resolve_processes("auto", torch.device("cuda"), parts=1) == batches
     assert resolve_processes("auto", torch.device("cuda"), parts=10) == seeds
+
+
+def test_more_processes_than_gpus_share_seeds_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 2)
+    assert resolve_processes(4, torch.device("cuda"), parts=10) == 4
+    assert resolve_processes(2, torch.device("cuda"), parts=1) == 2
+    with pytest.raises(ConfigError, match=r"processes of a stage are 3, but .* there are 2 GPUs; expected at most as"):
+        resolve_processes(3, torch.device("cuda"), parts=1)

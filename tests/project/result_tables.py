@@ -248,7 +248,8 @@ def _cell(found: list[Cell]) -> str:
     values = [figure["value"] for figure in found]
     spread = statistics.stdev(values) if len(values) > 1 else found[0]["standard_error"]
     decimals = 3 if max(values) < 2 else 1
-    return f"{statistics.fmean(values):.{decimals}f} ± {spread:.{decimals}f}"
+    mean = f"{statistics.fmean(values):.{decimals}f}"
+    return mean if spread is None else f"{mean} ± {spread:.{decimals}f}"
 
 
 def _rewrite(page: Path) -> None:

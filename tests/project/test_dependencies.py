@@ -55,7 +55,6 @@ def test_every_dependency_is_pinned() -> None:
     requirements = [PROJECT["dependencies"], *PROJECT["optional-dependencies"].values()]
     pinned = dict(line.lower().split("==") for line in (ROOT / "constraints.txt").read_text().splitlines()[1:])
     assert {name for group in requirements for name in _names(group)} <= set(pinned)
-    assert pinned["torch"] == "2.13.0"
 
 
 def test_compiled_kernels_are_kept_apart_by_all_they_are_compiled_from() -> None:

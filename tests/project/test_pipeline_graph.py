@@ -103,7 +103,8 @@ def test_what_runs_name_is_on() -> None:
         assert PARAMS["features"][run["features"]]["dataset"] == run["dataset"], name
         base_shape = PARAMS["base_shapes"][run["base_shape"]]
         own = {"ablation": run["ablation"], "base_shape": run["base_shape"]}
-        assert base_shape | own == run | {"chosen": base_shape["chosen"]}, name
+        if "-around-" not in name:  # another run's base shape
+            assert base_shape | own == run | {"chosen": base_shape["chosen"]}, name
 
 
 def test_no_artifact_path_stands_in_the_code() -> None:

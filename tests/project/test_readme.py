@@ -3,6 +3,7 @@
 import hashlib
 import os
 import re
+import shlex
 import shutil
 import subprocess
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 from ruamel.yaml import YAML
 
+from pipeline.cli.__main__ import _parser
 from pipeline.export.runs_page import MeasuredRun
 from pipeline.files import read_json, write_json
 from pipeline.rows.options import BASELINES
@@ -44,8 +46,17 @@ def committed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_every_row_size_and_ablation_is_named() -> None:
-    names = [*PARAMS["rows"], *PARAMS["sizes"], *PARAMS["ablations"]]
-    assert [name for name in names if name != "none" and not re.search(rf"[`=]{name}(?![\w-])", README)] == []
+    names = {*PARAMS["rows"], *PARAMS["sizes"], *PARAMS["ablations"]} - {"none"}
+    shipped = [name for name in names if not name.startswith("my-")]  # as those of users are called
+    assert [name for name in shipped if not re.search(rf"[`=]{name}(?![\w-])", README)] == []
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_every_command_line_is_understood(page: str) -> None:
+    text = re.sub(r"\\\n", " ", (ROOT / page).read_text())
+    lines = re.findall(r"^(?:\.venv/bin/)?kato3d (.*)$", text, re.MULTILINE)
+    for line in lines:
+        _parser().parse_args(shlex.split(line, comments=True))
 
 
 def test_every_command_exists() -> None:
@@ -64,6 +75,12 @@ def test_options_are_words_after_make_alone() -> None:
         'python -m stages.run_row --row="$ROW" --size="$SIZE"',
         "kato3d runs > /dev/null",
     ]
+
+
+def test_what_make_does_alone_ends_with_the_table_of_all_runs() -> None:
+    words = ["make", "--dry-run", "--no-print-directory", "repro"]
+    made = subprocess.run(words, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
+    assert made.splitlines()[-2:] == ["dvc repro", "kato3d runs > /dev/null"]
 
 
 def test_baselines_alone_are_installed_for() -> None:
@@ -120,9 +137,10 @@ def test_an_environment_that_was_moved_is_set_up_anew(tmp_path: Path, moved: boo
     assert (tmp_path / ".venv").exists() != moved
 
 
-def test_every_example_of_a_parameter_exists() -> None:
-    for key in re.findall(r"-S ([\w.]+)=", README):
-        section: Any = PARAMS
+@pytest.mark.parametrize("page", PAGES)
+def test_every_example_of_a_parameter_exists(page: str) -> None:
+    for key in re.findall(r"-S\s+'?([\w.-]+)=", (ROOT / page).read_text()):
+        section: Any = PARAMS | {"rows": PARAMS["rows"] | {"my-row": PARAMS["rows"]["cifar10-automobile"]}}
         *sections, last = key.split(".")
         for name in sections:
             section = section[name]

@@ -16,6 +16,7 @@ from pipeline.errors import DataError
 from pipeline.evaluation.colmap import ColmapConfig, run_colmap
 from pipeline.files import read_json
 from pipeline.geometry.camera import CameraConfig
+from tests.fresh_params import write_fresh_params
 from tests.smoke.tiny_project import ROOT, run
 
 COUNT = 6
@@ -25,7 +26,7 @@ def _evaluate(pictures: np.ndarray, folder: Path) -> tuple[dict[str, Any], str]:
     np.save(folder / "pictures.npy", pictures)
     words = [
         "--params",
-        "params.yaml",
+        str(write_fresh_params(folder / "params.yaml")),
         "--sections",
         "evaluate_colmap",
         "--images",

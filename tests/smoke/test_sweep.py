@@ -122,13 +122,14 @@ def test_artifacts_come_back_from_a_remote(
         "dvc",
         "remote",
         "add",
+        "--local",
         "--force",
         "--default",
         "store",
         "s3://kato3d/store" if kind == "s3" else str(tmp_path / "store"),
     )
     if kind == "s3":
-        run(project, "dvc", "remote", "modify", "store", "endpointurl", request.getfixturevalue("bucket"))
+        run(project, "dvc", "remote", "modify", "--local", "store", "endpointurl", request.getfixturevalue("bucket"))
     artifacts = [project / "data/prepared/toybox", project / MODEL]
     before = [sha256(path) for path in artifacts]
     run(project, "dvc", "push", "--with-deps", STAGE)

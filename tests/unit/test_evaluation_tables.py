@@ -87,3 +87,8 @@ def test_a_damaged_table_is_named(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "cars.csv").write_bytes(content)
     with pytest.raises(DataError, match=r"cars\.csv is damaged \(.*\); run the stage that writes it again"):
         read_table(tmp_path / "cars.csv")
+
+
+def test_a_single_sample_is_printed_with_n_and_without_an_error() -> None:
+    line = format_figures({"ssim": {"value": 0.5, "n": 1, "standard_error": None}}).splitlines()[-1]
+    assert line.split() == ["ssim", "0.5000", "–", "1"]

@@ -172,6 +172,17 @@ def test_an_iteration_of_full_training_that_draws_has_finite_losses(monkeypatch:
     assert all(loss.isfinite() for loss in losses.values())
 
 
+@pytest.mark.gpu
+def test_steps_on_either_side_of_settling_are_captured_and_stay_finite() -> None:
+    trainer = full_trainer(0.5, {})
+    trainer.config = replace(trainer.config, iterations=12)  # six refining ones, six exploring ones
+    for iteration in range(12):
+        losses = trainer.step(iteration)
+        assert all(loss.isfinite() for loss in losses.values()), iteration
+    trainer.finish()
+    assert all(value.isfinite().all() for value in trainer.model.state_dict().values())
+
+
 def test_an_iteration_of_base_shape_learning_waits_for_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     config = replace(BASE_SHAPE, batch_size=2)
     extractor = tiny_extractor().to(DEVICE)
