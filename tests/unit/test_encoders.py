@@ -27,7 +27,7 @@ def test_code_does_not_depend_on_the_rest_of_the_batch(config: EncoderConfig, si
 
 
 def test_channels_that_cannot_be_normalised_in_groups_are_refused() -> None:
-    with pytest.raises(ConfigError, match=r"encoder\.width is 12; expected a multiple of 8"):
+    with pytest.raises(ConfigError, match=r"^width is 12; expected a multiple of 8"):
         EncoderConfig("wide_resnet", 12, 1)
 
 
