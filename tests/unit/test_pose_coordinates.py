@@ -107,7 +107,7 @@ def test_a_range_may_be_one_value_but_not_reversed() -> None:
     torch.testing.assert_close(poses.box(again)[1], torch.ones(4))
     with pytest.raises(ConfigError, match=r"^roll is \[5\.0, -5\.0\]; expected the lower bound first"):
         replace(RANGE, roll=(5.0, -5.0))
-    with pytest.raises(ConfigError, match=r"pose_range\.center is \[-0\.5, 0\.1\]; expected as far to either side"):
+    with pytest.raises(ConfigError, match=r"^center is \[-0\.5, 0\.1\]; expected as far to either side"):
         replace(RANGE, center=(-0.5, 0.1))
 
 
