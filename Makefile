@@ -4,6 +4,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 STAMP := .venv/.installed
 TOOLS := .venv/.tools_installed
+CHECKED := .venv/.settings_checked
 # Words after `make run`; what the environment calls by such names is no option.
 NAMES := ROW SIZE SOURCE FEATURES ABLATION SEED DATASET CATEGORY BASE_SHAPE BASELINE
 WORDS := $(foreach name,$(.VARIABLES),$(if $(filter command,$(firstword $(origin $(name)))),$(name)))
@@ -30,7 +31,7 @@ export GOMP_SPINCOUNT := 20000
 
 .PHONY: repro install test check run bench dependencies tables clean help
 
-repro: $(STAMP)  ## run the pipeline: by default the toybox car, from pictures to a page
+repro: $(CHECKED)  ## run the pipeline: by default the toybox car, from pictures to a page
 	dvc repro
 	@kato3d runs > /dev/null
 
@@ -75,6 +76,11 @@ $(STAMP): constraints.txt pyproject.toml
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[pipeline]"
 	@$(BIN)/python -c "import pymeshlab" || { echo "MeshLab does not load: install the libraries of OpenGL, on Debian and Ubuntu by apt-get install libgl1 libopengl0" >&2; exit 1; }
 	@echo "$(CURDIR)" > $@
+
+# Settings of late stages are looked at before the first one starts.
+$(CHECKED): $(STAMP) params.yaml
+	@python -m stages.check_settings
+	@touch $@
 
 $(TOOLS): $(STAMP)
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable ".[pipeline,remote,video,baselines,development]"

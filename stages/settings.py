@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from pipeline.config import load, scalar
+from pipeline.config import entries, load, scalar
 from pipeline.evaluation.colmap import ColmapConfig
 from pipeline.evaluation.evaluate import EvaluateConfig
 from pipeline.export.painting import PaintingConfig
@@ -11,7 +11,7 @@ from pipeline.export.report import ReportConfig
 from pipeline.export.views import TurntableConfig
 from pipeline.launch import resolve_processes
 from pipeline.rows.entries import SHARED, require_chosen
-from pipeline.rows.options import Options
+from pipeline.rows.options import BASELINES, Options
 from pipeline.training.base_shape import BaseShapeConfig
 from pipeline.training.features import FeaturesConfig
 from pipeline.training.fine_tune import FineTuneConfig
@@ -57,3 +57,13 @@ def require_settings(params: Path, options: Options) -> None:
     configs = CONFIGS | _OF_MESHES if options.baseline is None else _OF_BASELINES[options.baseline]
     for stage, config in configs.items():
         load(params, config, options.sections(stage))
+
+
+def require_settings_of_all(params: Path) -> None:
+    """Raise ConfigError where a stage of a run, base shape or baseline that is on would, as `require_settings` does."""
+    for entry in (*entries(params, "base_shapes").values(), *entries(params, "runs").values()):
+        require_settings(params, Options(entry["row"], entry["size"], entry["ablation"]))
+    any_row = next(iter(entries(params, "rows")))  # which changes no setting of a baseline
+    for baseline in BASELINES:
+        for entry in entries(params, baseline).values():
+            require_settings(params, Options(any_row, entry["size"], baseline=baseline))

@@ -76,10 +76,15 @@ def test_options_are_words_after_make_alone() -> None:
     ]
 
 
-def test_what_make_does_alone_ends_with_the_table_of_all_runs() -> None:
-    words = ["make", "--dry-run", "--no-print-directory", "repro"]
+def test_what_make_does_alone_begins_with_new_settings_and_ends_with_the_table_of_all_runs() -> None:
+    words = ["make", "--dry-run", "--no-print-directory", "--what-if=params.yaml", "repro"]
     made = subprocess.run(words, cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
-    assert made.splitlines()[-2:] == ["dvc repro", "kato3d runs > /dev/null"]
+    assert made.splitlines()[-4:] == [
+        "python -m stages.check_settings",
+        "touch .venv/.settings_checked",
+        "dvc repro",
+        "kato3d runs > /dev/null",
+    ]
 
 
 def test_baselines_alone_are_installed_for() -> None:

@@ -1,13 +1,16 @@
 """Settings of all stages are looked at before the first one starts."""
 
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 
 import pytest
+import yaml
 
 from pipeline.errors import ConfigError
 from pipeline.rows.options import Options
-from stages import run_row
-from stages.settings import require_settings
+from stages import check_settings, run_row
+from stages.settings import require_settings, require_settings_of_all
 
 
 @pytest.mark.parametrize(
@@ -48,6 +51,44 @@ def test_of_settings_a_baseline_needs_its_own(params: Path, baseline: str, old: 
     params.write_text(text.replace(f"{old}:", f"{old}s:"), encoding="utf-8")
     with pytest.raises(ConfigError, match=message):
         require_settings(params, Options("toybox-car", baseline=baseline))
+
+
+def _turn_on(params: Path, section: str, **entry: str) -> None:
+    document = yaml.safe_load(params.read_text(encoding="utf-8"))
+    document[section]["another"] = {"size": "laptop", "ablation": "none"} | entry
+    params.write_text(yaml.safe_dump(document), encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("section", "entry", "stage", "old", "new"),
+    [
+        ("base_shapes", {"row": "toybox-horse"}, "rows.toybox-horse.learn_base_shape", "colors", "colours"),
+        ("runs", {"row": "toybox-car", "ablation": "longer"}, "ablations.longer.train_full", "iterations", "iteration"),
+        ("hologan", {}, "train_hologan", "generator_steps", "generator_step"),
+        ("colmap", {}, "evaluate_colmap", "enlargement", "enlargements"),
+    ],
+)
+def test_settings_of_all_that_is_on_are_looked_at(
+    params: Path, section: str, entry: dict[str, str], stage: str, old: str, new: str
+) -> None:
+    document = yaml.safe_load(params.read_text(encoding="utf-8"))
+    settings = reduce(getitem, stage.split("."), document)
+    settings[new] = settings.pop(old)
+    params.write_text(yaml.safe_dump(document), encoding="utf-8")
+    require_settings_of_all(params)
+    _turn_on(params, section, **entry)
+    with pytest.raises(ConfigError, match=f"{new}'; did you mean '{old}'"):
+        require_settings_of_all(params)
+
+
+def test_a_wrong_setting_of_a_run_that_is_on_ends_make_repro_before_dvc_starts(
+    params: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(params.parent)
+    check_settings.main()
+    params.write_text(params.read_text(encoding="utf-8").replace("\nfine_tune:\n", "\nfine_tune:\n  step: 3\n"))
+    with pytest.raises(ConfigError, match=r"unknown key 'fine_tune\.step'"):
+        check_settings.main()
 
 
 def test_a_run_that_cannot_end_is_not_turned_on(params: Path, monkeypatch: pytest.MonkeyPatch) -> None:
