@@ -22,14 +22,14 @@ $(if $(filter ROW,$(OPTIONS)),,$(error name a row: make run ROW=toybox-car, or a
 endif
 SUPPORTED := import sys; sys.exit(not (3, 11) <= sys.version_info < (3, 14))
 # The commands of an environment name its folder: where that was moved, it is set up anew.
-$(shell grep -qsxvF "$(CURDIR)" $(STAMP) && rm -rf .venv)
+MOVED := $(shell grep -qsxvF "$(CURDIR)" $(STAMP) && echo FORCE)
 # The stages' commands in dvc.yaml call `python`.
 export PATH := $(CURDIR)/$(BIN):$(PATH)
 # Threads that wait should spin for a moment and then sleep: spinning on halves the speed of a busy machine, sleeping at
 # once takes a third off that of a quiet one (docs/decisions/speed.md).
 export GOMP_SPINCOUNT := 20000
 
-.PHONY: repro install test check run bench dependencies tables clean help
+.PHONY: repro install test check run bench dependencies tables clean help FORCE
 
 repro: $(CHECKED)  ## run the pipeline: by default the toybox car, from pictures to a page
 	dvc repro
@@ -68,7 +68,8 @@ help:  ## list the targets
 clean:  ## remove the environment and restart states; models and results stay
 	rm -rf .venv .checkpoints
 
-$(STAMP): constraints.txt pyproject.toml
+$(STAMP): constraints.txt pyproject.toml $(MOVED)
+	@$(if $(MOVED),rm -rf .venv)
 	@$(BIN)/python -c "import pip; $(SUPPORTED)" 2> /dev/null || { \
 		$(PYTHON) -c "$(SUPPORTED)" || { echo "Python 3.11 to 3.13 is needed; name one, such as PYTHON=python3.12, behind make" >&2; exit 1; }; \
 		$(PYTHON) -m venv --clear .venv; }

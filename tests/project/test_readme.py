@@ -134,10 +134,15 @@ def test_an_interpreter_that_is_too_old_is_named(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("moved", [False, True])
 def test_an_environment_that_was_moved_is_set_up_anew(tmp_path: Path, moved: bool) -> None:
-    shutil.copy(ROOT / "Makefile", tmp_path)
+    for name in ("Makefile", "constraints.txt", "pyproject.toml"):
+        shutil.copy(ROOT / name, tmp_path)
     (tmp_path / ".venv").mkdir()
     (tmp_path / ".venv/.installed").write_text(f"{tmp_path / 'before' if moved else tmp_path}\n")
     subprocess.run(["make", "help"], cwd=tmp_path, check=True, stdout=subprocess.PIPE)
+    assert (tmp_path / ".venv").exists()
+    words = ["make", "install", "PYTHON=false"]
+    made = subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert made.returncode == (2 if moved else 0)
     assert (tmp_path / ".venv").exists() != moved
 
 
