@@ -59,7 +59,7 @@ bench: $(TOOLS)  ## time the renderer and the training steps, on a GPU where the
 dependencies: $(TOOLS)  ## rewrite the code dependencies of dvc.yaml
 	python -m tests.project.import_closure
 
-tables: $(TOOLS)  ## rewrite the tables of README.md and docs/ from results/metrics
+tables: $(TOOLS)  ## rewrite the tables of README.md and docs/ from the results that are committed or staged
 	python -m tests.project.result_tables
 
 help:  ## list the targets

@@ -1,4 +1,4 @@
-"""Keep the tables of README.md and docs/ equal to results/metrics.
+"""Keep the tables of README.md and docs/ equal to results/metrics, as git would commit those now.
 
 `python -m tests.project.result_tables` rewrites them. A page holds a table between `<!-- table: NAME -->` and
 `<!-- end of table -->`. Runs that differ in their seed alone are one row: the mean and the standard deviation over the
@@ -7,9 +7,11 @@ seeds, or one seed's value and its standard error.
 
 import re
 import statistics
+import subprocess
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import NamedTuple
 
 from pipeline.evaluation.tables import read_table
@@ -252,10 +254,23 @@ def _cell(found: list[Cell]) -> str:
     return mean if spread is None else f"{mean} ± {spread:.{decimals}f}"
 
 
-def _rewrite(page: Path) -> None:
-    page.write_text(with_tables(page.read_text(), ROOT / "results"))
+def unpack_staged(folder: Path, *parts: str) -> None:
+    """Unpack parts of the repository as git would commit them now; runs of one's own change the working tree's."""
+    staged = subprocess.run(["git", "write-tree"], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
+    words = ["git", "archive", staged.strip(), *parts]
+    archive = subprocess.run(words, cwd=ROOT, check=True, stdout=subprocess.PIPE).stdout
+    # Not by tarfile, whose 3.11.2 trusts every path.
+    subprocess.run(["tar", "--extract", "--directory", folder], input=archive, check=True)
+
+
+def main() -> None:
+    """Write all tables anew."""
+    with TemporaryDirectory() as folder:
+        unpack_staged(Path(folder), "results/metrics", "results/tables")
+        for page in PAGES:
+            text = (ROOT / page).read_text()
+            (ROOT / page).write_text(with_tables(text, Path(folder) / "results"))
 
 
 if __name__ == "__main__":
-    for page in PAGES:
-        _rewrite(ROOT / page)
+    main()

@@ -17,7 +17,16 @@ from pipeline.export.runs_page import MeasuredRun
 from pipeline.files import read_json, write_json
 from pipeline.rows.options import BASELINES
 from tests.project.import_closure import ROOT
-from tests.project.result_tables import MARKED, PAGES, TABLES, Confusion, Table, render, with_tables
+from tests.project.result_tables import (
+    MARKED,
+    PAGES,
+    TABLES,
+    Confusion,
+    Table,
+    render,
+    unpack_staged,
+    with_tables,
+)
 
 README = (ROOT / "README.md").read_text()
 PARAMS = YAML(typ="safe").load(ROOT / "params.yaml")
@@ -33,15 +42,10 @@ def without_outer_make(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="module")
 def committed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Unpack pages and figures as git would commit them now; runs of one's own change those in the working tree."""
+    """Unpack pages and figures as git would commit them now."""
     folder = tmp_path_factory.mktemp("committed")
-    staged = subprocess.run(["git", "write-tree"], cwd=ROOT, check=True, stdout=subprocess.PIPE, text=True).stdout
-    words = ["git", "archive", staged.strip(), "README.md", "data/README.md", "docs", "dvc.lock"]
-    words += [f"results/{part}" for part in ("metrics", "tables", "curves", "figures/base_shapes")]
-    archive = subprocess.run(words, cwd=ROOT, check=True, stdout=subprocess.PIPE).stdout
-    subprocess.run(
-        ["tar", "--extract", "--directory", folder], input=archive, check=True
-    )  # tarfile of 3.11.2 trusts all
+    results = (f"results/{part}" for part in ("metrics", "tables", "curves", "figures/base_shapes"))
+    unpack_staged(folder, "README.md", "data/README.md", "docs", "dvc.lock", *results)
     return folder
 
 
