@@ -1,5 +1,6 @@
 """Settings of all stages are looked at before the first one starts."""
 
+import re
 from functools import reduce
 from operator import getitem
 from pathlib import Path
@@ -8,6 +9,7 @@ import pytest
 import yaml
 
 from pipeline.errors import ConfigError
+from pipeline.rows.entries import require_whole_entries
 from pipeline.rows.options import Options
 from stages import check_settings, run_row
 from stages.settings import require_settings, require_settings_of_all
@@ -51,6 +53,15 @@ def test_of_settings_a_baseline_needs_its_own(params: Path, baseline: str, old: 
     params.write_text(text.replace(f"{old}:", f"{old}s:"), encoding="utf-8")
     with pytest.raises(ConfigError, match=message):
         require_settings(params, Options("toybox-car", baseline=baseline))
+
+
+def test_the_row_that_is_shown_to_newcomers_is_one(params: Path) -> None:
+    page = (Path(__file__).parents[2] / "docs/your-own-photos.md").read_text(encoding="utf-8")
+    (row,) = re.findall(r"```yaml\n(  (my-[a-z]+):.*?)```", page, re.DOTALL)
+    text, name = row
+    params.write_text(params.read_text(encoding="utf-8").replace("\nrows:\n", f"\nrows:\n{text}"), encoding="utf-8")
+    require_whole_entries(params)
+    require_settings(params, Options(name))
 
 
 def _turn_on(params: Path, section: str, **entry: str) -> None:

@@ -7,12 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
+from PIL import Image
 
 from tests.tiny_full_model import photographs
 from tests.trained_project import save_models
 
 DOCUMENT = (Path(__file__).parents[2] / "docs/python.md").read_text(encoding="utf-8")
-RENDERER, MODEL, LOSS = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
+RENDERER, MODEL, PHOTOGRAPH, LOSS = re.findall(r"```python\n(.*?)```", DOCUMENT, re.DOTALL)
 
 
 def test_the_renderer_finds_an_egg() -> None:
@@ -35,5 +36,8 @@ def test_a_model_is_read_turned_and_fitted(tmp_path: Path, monkeypatch: pytest.M
     assert names["rows"][0].shape == (3, 32, 128)
     assert not names["rows"][1].allclose(names["rows"][2])
     assert trimesh.load_mesh("car.glb").is_winding_consistent
+    Image.new("RGB", (60, 40)).save("photo.jpg")
+    exec(PHOTOGRAPH, names)
+    assert names["own"].shape == (1, 3, 32, 32)
     exec(LOSS, names)
     assert names["distances"][-1] < names["distances"][0]
