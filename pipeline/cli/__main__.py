@@ -5,7 +5,7 @@ import signal
 import sys
 import webbrowser
 from argparse import ArgumentParser, ArgumentTypeError, Namespace
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import partial
 from io import TextIOWrapper
@@ -136,11 +136,14 @@ def _add_benchmark(add: Callable[..., ArgumentParser], project: ArgumentParser) 
 
 
 def _reconstruct(arguments: Namespace) -> None:
-    from pipeline.cli.photographs import list_tasks
+    from pipeline.cli.photographs import list_tasks, passed_over
     from pipeline.cli.runs import find_run
 
     run, out = find_run(arguments.project, arguments.run), arguments.out
     tasks = list_tasks(arguments.photographs, out)
+    for folder in filter(Path.is_dir, arguments.photographs):
+        _print_passed_over(passed_over(folder, (task.photograph for task in tasks)))
+    print(f"with the model of '{run.name}'")
 
     from pipeline.cli.reconstruct import Steps, reconstruct
     from pipeline.config import scalar
@@ -159,17 +162,24 @@ def _reconstruct(arguments: Namespace) -> None:
 
 
 def _arrange(arguments: Namespace) -> None:
-    from pipeline.cli.arrange import arrange
-    from pipeline.datasets.folder import ENDINGS
+    from pipeline.cli.arrange import FEW, arrange
 
     found = arrange(arguments.folder, arguments.category, arguments.out, arguments.least_side)
     for reason in found.left_out:
         print(f"left out: {reason}")
-    for ending, count in sorted(found.passed_over.items()):
-        made = " and that `kato3d reconstruct` has written" if ending in ENDINGS else ""
-        print(f"passed over: {count} files that end in '{ending}'{made}")
+    _print_passed_over(found.passed_over)
     left_out = len(found.left_out)
     print(f"{found.train} for training and {found.test} for testing written to {arguments.out}, {left_out} left out")
+    if found.train < FEW:
+        print(f"fewer than {FEW} for training were not tried; 2,000 are good (docs/your-own-photos.md)")
+
+
+def _print_passed_over(counts: Mapping[str, int]) -> None:
+    from pipeline.datasets.folder import ENDINGS
+
+    for ending, count in sorted(counts.items()):
+        made = " that `kato3d reconstruct` has written" if ending in ENDINGS else ""
+        print(f"passed over: {count} with the ending '{ending}'{made}")
 
 
 def _positive(text: str) -> int:
@@ -192,8 +202,8 @@ def _view(arguments: Namespace) -> None:
     from pipeline.cli.runs import find_run
 
     page = find_run(arguments.project, arguments.run).page.resolve()
-    if not webbrowser.open(page.as_uri()):
-        print(f"open {page}")
+    webbrowser.open(page.as_uri())
+    print(f"open {page}")  # where no browser is, or none on this screen
 
 
 def _runs(arguments: Namespace) -> None:

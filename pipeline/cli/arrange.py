@@ -2,7 +2,6 @@
 
 import csv
 import os
-from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
@@ -12,13 +11,15 @@ from PIL import Image, ImageOps
 from PIL.TiffImagePlugin import PHOTOMETRIC_INTERPRETATION, TiffImageFile
 from tqdm import tqdm
 
-from pipeline.cli.photographs import find_photographs, visible_files
+from pipeline.cli.photographs import find_photographs, passed_over
 from pipeline.datasets.decoding import open_picture, reading, to_srgb
 from pipeline.errors import DataError
-from pipeline.files import alone, atomic_path
+from pipeline.files import alone, atomic_path, sha256
 from pipeline.naming import is_plain
 
 TEST_EVERY = 10
+FEW = 200
+"""Training photographs of which fewer have not been tried."""
 LONGEST = 1024
 """Pixels along the longer side of what is written: far more than any run looks at."""
 LIMIT = 65500
@@ -43,10 +44,10 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
 
     They are turned upright, become RGB in the colours of sRGB, on white where they are transparent, and are made
     smaller until their long side is 1024 px or their short side `least_side`. Those that cannot be read, whose short
-    side is below `least_side`, or that would still be longer than a JPEG can be, are left out. `originals.csv` says
-    which photograph each picture is a copy of. Raises DataError for an `out` that exists, is inside of the folder or is
-    just being written by another process, for a folder in it that is a link, and where fewer than two photographs are
-    left.
+    side is below `least_side`, that would still be longer than a JPEG can be, or that are copies of others, which could
+    be in both splits, are left out. `originals.csv` says which photograph each picture is made of. Raises DataError for
+    an `out` that exists, is inside of the folder or is just being written by another process, for a folder in it that
+    is a link, and where fewer than two photographs are left.
     """
     if not is_plain(category):
         raise DataError(f"the category is '{category}'; expected a name of letters, digits, _ and - (a to z)")
@@ -56,11 +57,14 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
         raise DataError(f"{out} is inside of {folder}; name a folder outside of it")
     _require_absent(out)
     found, originals, left_out = find_photographs(folder), {}, []
+    same: dict[str, Path] = {}
     with alone(out), atomic_path(out) as temporary:
         for path in tqdm(found, "arranging", disable=None):
             split = "train" if len(originals) % TEST_EVERY else "test"
             try:
                 picture = _upright(path, least_side)
+                if (other := same.setdefault(sha256(path), path)) != path:
+                    raise DataError(f"{path} is the same file as {other}")
             except DataError as error:
                 left_out.append(str(error))
                 continue
@@ -70,12 +74,11 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
             originals[name] = path.relative_to(folder).as_posix()
         if len(originals) < 2:
             first = f" ({left_out[0]})" if left_out else ""
-            raise DataError(f"{folder} has {len(originals)} photographs that can be used{first}; expected at least 2")
+            raise DataError(f"{folder}: {len(originals)} of the photographs can be used{first}; expected at least 2")
         _write_originals(temporary / ORIGINALS, originals)
         _require_absent(out)
-    passed_over = Counter(path.suffix.lower() for path in set(visible_files(folder)).difference(found))
     test = sum(name.startswith("test/") for name in originals)
-    return Arranged(len(originals) - test, test, left_out, passed_over)
+    return Arranged(len(originals) - test, test, left_out, passed_over(folder, found))
 
 
 def _require_absent(out: Path) -> None:

@@ -3,7 +3,8 @@
 import itertools
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -38,8 +39,8 @@ class Target(NamedTuple):
         return self.path.with_name(self.path.name + ending)
 
     def done(self, outputs: Sequence[str]) -> bool:
-        """Tell whether all files of the outputs are there; each is written whole or not at all."""
-        return all(self.file(ending).is_file() for output in outputs for ending in FILES[output])
+        """Tell whether all files of the outputs are there; each is written whole or not at all, but may be emptied."""
+        return all(_holds_something(self.file(ending)) for output in outputs for ending in FILES[output])
 
 
 class Task(NamedTuple):
@@ -69,6 +70,10 @@ class Task(NamedTuple):
         write_text(origin, content_hash)
 
 
+def _holds_something(file: Path) -> bool:
+    return file.is_file() and file.stat().st_size > 0
+
+
 def _read_origin(origin: Path) -> str:
     return origin.read_text(encoding="utf-8", errors="replace")  # a damaged one is of another photograph
 
@@ -87,7 +92,8 @@ def find_photographs(folder: Path) -> list[Path]:
     where it has none, and for a folder in it that is a link.
     """
     if not folder.is_dir():
-        raise DataError(f"{folder} does not exist; give the path of a photograph or of a folder of photographs")
+        what = "is neither a file nor a folder" if folder.exists() else "does not exist"
+        raise DataError(f"{folder} {what}; give the path of a photograph or of a folder of photographs")
     files = list(visible_files(folder))
     made = {file.parent for file in files if file.name == RECORD}
     found = sorted(
@@ -107,6 +113,11 @@ def visible_files(folder: Path) -> Iterator[Path]:
     """
     files = (path for path in walk(folder) if path.is_file() or not path.exists())
     return (file for file in files if not is_hidden(file.relative_to(folder)))
+
+
+def passed_over(folder: Path, photographs: Iterable[Path]) -> Counter[str]:
+    """Count by ending the files below a folder that are not hidden and none of these photographs."""
+    return Counter(path.suffix.lower() for path in set(visible_files(folder)).difference(photographs))
 
 
 def list_tasks(paths: Sequence[Path], out: Path) -> list[Task]:

@@ -66,7 +66,7 @@ class Outcome(NamedTuple):
     skipped: int
     """Already reconstructed by an earlier call."""
     failures: list[str]
-    """One sentence for each photograph that cannot be reconstructed."""
+    """One sentence for each photograph that cannot be reconstructed, or shown because its outputs are damaged."""
     page: Path | None
     """Where the meshes can be looked at, if there are any."""
 
@@ -103,11 +103,11 @@ def reconstruct(
         failed = [sentence for sentence in progress if sentence is not None]
         latest = {task.target for task in tasks}
         done = sorted(find_targets(out, PAGED), key=lambda target: target not in latest)
-        if done:
-            write_gallery(out / PAGE, done, model.config.renderer.camera)
+        failures = [*failures, *failed, *write_gallery(out / PAGE, done, model.config.renderer.camera)]
+        page = out / PAGE if (out / PAGE).is_file() else None
     if is_new and not any(out.iterdir()):
         out.rmdir()
-    return Outcome(len(waiting) - len(failed), skipped, failures + failed, out / PAGE if done else None)
+    return Outcome(len(waiting) - len(failed), skipped, failures, page)
 
 
 def _in_batches(

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from pipeline.config import entries, scalar
 from pipeline.errors import ConfigError, DataError
-from pipeline.naming import did_you_mean
+from pipeline.naming import did_you_mean, require_known
 
 
 @dataclass(frozen=True)
@@ -62,9 +62,15 @@ def find_run(project: Path, name: str | None) -> Run:
 
 
 def truth_folder(project: Path, dataset: str) -> Path:
-    """Return the ground truth of a dataset. Raises DataError where it has not been prepared."""
+    """Return the ground truth of a dataset.
+
+    Where it is not there, raises ConfigError for a dataset that is not on, with the nearest one that is, and else
+    DataError, as it has not been prepared.
+    """
     folder = project / "data" / "truth" / dataset
     if not folder.is_dir():
+        params = project / "params.yaml"
+        require_known(dataset, entries(params, "datasets"), f"{params}: datasets has no")
         raise DataError(f"{folder} does not exist; make it with `dvc repro prepare_data@{dataset}`")
     return folder
 

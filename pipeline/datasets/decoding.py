@@ -109,13 +109,13 @@ def open_picture(content: bytes) -> Image.Image:
 
 def _upright(content: bytes, name: str) -> Image.Image:
     with reading(name):
-        picture = ImageOps.exif_transpose(open_picture(content))
+        stored = open_picture(content)
+        picture = ImageOps.exif_transpose(stored)
         picture.load()
     if picture.mode != "RGB" or picture.has_transparency_data:
         mode = picture.mode if picture.mode != "RGB" else "RGB with a transparent colour"
-        raise DataError(
-            f"{name} has the colour mode {mode}; expected RGB; convert it (`kato3d arrange` does) or remove it"
-        )
+        how = "" if stored.format == "GIF" else " (`kato3d arrange` does)"
+        raise DataError(f"{name} has the colour mode {mode}; expected RGB; convert it{how} or remove it")
     return picture
 
 

@@ -74,7 +74,7 @@ button[aria-pressed=true] { border-color: var(--accent); box-shadow: inset 0 0 0
 .shelf legend { font-weight: 600; padding: 0 4px .2rem; }
 .choice { flex: none; width: 76px; border: 1px solid var(--line); border-radius: 8px; background: var(--card);
   padding: 4px; cursor: pointer; position: relative; font-size: .76rem; line-height: 1.25; text-align: center;
-  color: var(--soft); }
+  color: var(--soft); overflow-wrap: anywhere; }
 .choice input { position: absolute; opacity: 0; inset: 0; margin: 0; width: 100%; height: 100%; cursor: pointer; }
 .choice img { width: 100%; aspect-ratio: 1; border-radius: 5px; image-rendering: pixelated; margin-bottom: 3px; }
 .choice:has(:checked) { border-color: var(--accent); box-shadow: 0 0 0 1px var(--accent); color: var(--ink); }

@@ -46,6 +46,11 @@ class FineTuneConfig:
     pose: PhaseConfig
     shape: PhaseConfig
 
+    @property
+    def phases(self) -> tuple[tuple[str, PhaseConfig], ...]:
+        """The outputs that are tuned, in their order."""
+        return ("background", self.background), ("pose", self.pose), ("shape", self.shape)
+
 
 class Outputs:
     """Hold what the networks predict for a batch of photographs, in the form in which it is tuned."""
@@ -133,20 +138,31 @@ def fine_tune(
     model.requires_grad_(False)
     index = torch.arange(len(images) if config.photographs is None else min(config.photographs, len(images)))
     collected: dict[str, list[Tensor]] = {}
-    for batch in tqdm(index.split(config.batch_size), "fine-tuning", disable=None):
-        part = checkpoint.part(f"{int(batch[0])}-{int(batch[-1])}")
-        if (restored := part.load()) is None:
-            restored = _fine_tune_batch(config, images[batch.to(images.device)], model, extractor), {}
-            part.save(*restored)
-        for name, values in restored[0].items():
-            collected.setdefault(name, []).append(values)
+    batches = index.split(config.batch_size)
+    steps = sum(phase.steps + 1 for _, phase in config.phases)
+    with tqdm(total=len(batches) * steps, desc="fine-tuning", unit="step", disable=None) as progress:
+        for batch in batches:
+            part = checkpoint.part(f"{int(batch[0])}-{int(batch[-1])}")
+            if (restored := part.load()) is None:
+                pictures = images[batch.to(images.device)]
+                restored = _fine_tune_batch(config, pictures, model, extractor, progress.update), {}
+                part.save(*restored)
+            else:
+                progress.update(steps)
+            for name, values in restored[0].items():
+                collected.setdefault(name, []).append(values)
     results = {name: torch.cat(values) for name, values in collected.items()}
     return results | {"faces": model.faces, "directions": model.directions, "test_index": index}
 
 
 def _fine_tune_batch(
-    config: FineTuneConfig, images: UInt8[Tensor, "B 3 H W"], model: FullModel, extractor: FeatureExtractor
+    config: FineTuneConfig,
+    images: UInt8[Tensor, "B 3 H W"],
+    model: FullModel,
+    extractor: FeatureExtractor,
+    advance: Callable[[], object],
 ) -> dict[str, Tensor]:
+    """Return what `fine_tune` does of a batch; `advance` is called at every step."""
     features = [layer.float() for layer in extract(extractor, images, len(images))]
     compared = comparable(features, config.map_weights)
 
@@ -160,8 +176,13 @@ def _fine_tune_batch(
     outputs = Outputs(model, images.float() / 255, features)
     results, first = _describe(outputs, loss, "predicted"), outputs.values.copy()
     choose_start(outputs, distance, config.flipped_poses)
-    for name, phase in (("background", config.background), ("pose", config.pose), ("shape", config.shape)):
-        tune(outputs, name, loss, phase, config.betas)
+
+    def step(reconstruction: Reconstruction) -> Float[Tensor, " B"]:
+        advance()
+        return loss(reconstruction)
+
+    for name, phase in config.phases:
+        tune(outputs, name, step, phase, config.betas)
     keep_better(outputs, first, loss)
     return results | _describe(outputs, loss, "tuned") | {"textures": outputs.texture_maps.cpu()}
 

@@ -32,7 +32,9 @@ class LossConfig:
     is against objects of rare colours there, and leaves them without (docs/decisions/shapes-and-hues.md). Fine-tuning's
     is 1."""
     feature_matching: NonNegative
+    """Of the distance between the mean features of a batch's photographs and its reconstructions (term 1)."""
     pose_regression: NonNegative
+    """Of the estimated poses' mean absolute error to the best that are recorded (term 2)."""
     mirrored_regression: NonNegative
     """Of poses in the photographs' mirror images; known where objects are mirror-symmetric, 0 where they are not."""
     rendered_regression: NonNegative
@@ -45,9 +47,11 @@ class LossConfig:
     """Of estimated vertices' squared distances to the base shape's, in units of the cube (ours): what a picture does
     not show stays as it mostly is."""
     total_variation: NonNegative
+    """Of differences between neighbouring texels (term 3): more of it makes textures smoother."""
     copied_background: NonNegative
     """Of texels that copy the background, where there is no object (ours): shapes leave it out instead."""
     view_prior: NonNegative
+    """Of the loss by which objects must look alike from read and from random views (term 4)."""
     smoothness: SmoothnessConfig
     """Of single-stage training's shapes: a grid around a base shape cannot become rough (paper section 4.1.3)."""
     base_roughness: NonNegative

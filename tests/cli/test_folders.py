@@ -1,6 +1,7 @@
 """Folders of photographs and of outputs of `kato3d reconstruct`."""
 
 import errno
+import os
 import re
 import shutil
 from pathlib import Path
@@ -39,6 +40,7 @@ def test_a_folder_is_reconstructed_but_for_what_cannot_be_read(
     for line, name in zip(str(caught.value.code).splitlines(), ("broken.jpg", "moved.jpg"), strict=True):
         assert re.match(rf"error: \S*{name} cannot be read as a picture .*; replace or remove it$", line)
     printed = capsys.readouterr().out
+    assert printed.startswith("passed over: 1 with the ending '.txt'\nwith the model of 'toybox-car'\n")
     assert "2 written to" in printed
     assert printed.endswith("no page: it needs `mesh`, `picture` and `pose` among --outputs\n")
     assert (project / "out/car.glb").is_file()
@@ -193,6 +195,50 @@ def test_a_stopped_reconstruction_goes_on_where_it_stopped(
     assert "1 already there" in printed
     assert car.read_bytes() == b"not written again"
     assert trimesh.load_mesh(van).bounds == pytest.approx(bounds, abs=1e-5)
+
+
+def test_an_emptied_output_is_written_again(project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    reconstruct(project, str(tmp_path / "car.png"), "--outputs", "mesh")
+    whole = (project / "out/car.glb").read_bytes()
+    (project / "out/car.glb").write_bytes(b"")
+    reconstruct(project, str(tmp_path / "car.png"), "--outputs", "mesh")
+    assert "1 written to" in capsys.readouterr().out.splitlines()[-2]
+    assert (project / "out/car.glb").read_bytes() == whole
+
+
+@pytest.mark.parametrize(
+    ("damage", "what"), [("{}", "no azimuth_degrees and elevation_degrees"), ("[]", "no azimuth_deg"), ("{", "no JSON")]
+)
+def test_a_damaged_pose_is_one_sentence_and_the_page_shows_the_others(
+    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], damage: str, what: str
+) -> None:
+    outputs = ("--outputs", "mesh,picture,pose")
+    reconstruct(project, str(tmp_path / "car.png"), *outputs)
+    (project / "out/car_pose.json").write_text(damage)
+    with pytest.raises(
+        SystemExit, match=rf"^error: \S*car_pose\.json is damaged: it holds {what}.*; remove it, and run"
+    ):
+        reconstruct(project, str(tmp_path / "van.png"), *outputs)
+    assert "1 written to" in capsys.readouterr().out
+    text = (project / "out/index.html").read_text()
+    assert 'data-name="van"' in text
+    assert 'data-name="car"' not in text
+
+
+def test_a_page_of_outputs_that_are_gone_is_removed(
+    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    reconstruct(project, str(tmp_path / "car.png"), "--outputs", "mesh,picture,pose")
+    (project / "out/car_pose.json").unlink()
+    reconstruct(project, str(tmp_path / "van.png"), "--outputs", "mesh")
+    assert capsys.readouterr().out.endswith("no page: it needs `mesh`, `picture` and `pose` among --outputs\n")
+    assert not (project / "out/index.html").exists()
+
+
+def test_what_is_neither_a_file_nor_a_folder_is_named(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(DataError, match=r"pipe is neither a file nor a folder; give the path of a photograph or"):
+        list_tasks([tmp_path / "pipe"], tmp_path / "meshes")
 
 
 def test_a_damaged_record_is_one_sentence(project: Path, tmp_path: Path) -> None:

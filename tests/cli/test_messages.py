@@ -42,7 +42,9 @@ def test_what_is_wrong_is_one_sentence(
 
 
 def test_closed_streams_stop_nothing(tmp_path: Path) -> None:
-    photographs = write_folder(tmp_path / "photographs", {f"{name}.png": picture() for name in "abc"})
+    photographs = write_folder(
+        tmp_path / "photographs", {f"{width}.png": picture(width=width) for width in (32, 33, 34)}
+    )
     words = [sys.executable, "-m", "pipeline.cli", "arrange", str(photographs), "--category", "car", "--out"]
     ended = subprocess.run(["sh", "-c", 'exec "$@" 2>&-', "sh", *words, str(tmp_path / "mine")], check=False)
     assert ended.returncode == 0

@@ -8,7 +8,9 @@ import pytest
 from pipeline.cli.__main__ import main
 
 
-def test_view_opens_the_page(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_view_opens_the_page_and_says_where_it_is(
+    project: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     page = project / "results/report/toybox-car/index.html"
     page.parent.mkdir(parents=True)
     page.touch()
@@ -16,6 +18,7 @@ def test_view_opens_the_page(project: Path, monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
     main(["view", "--project", str(project)])
     assert opened == [page.resolve().as_uri()]
+    assert capsys.readouterr().out == f"open {page.resolve()}\n"  # it may have opened on a screen that nobody sees
 
 
 def test_view_says_where_the_page_is_without_a_browser(

@@ -43,15 +43,30 @@ def test_a_table_says_which_photograph_each_picture_is_of(tmp_path: Path) -> Non
     ]
 
 
+def test_copies_of_a_file_are_left_out_so_that_none_is_in_both_splits(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = {"a.jpg": noise(1), "b.jpg": noise(1), "c.jpg": noise(2), "x/a.jpg": noise(1)}
+    photos = write_folder(tmp_path / "photos", files)
+    main(["arrange", str(photos), "--category", "ship", "--out", str(tmp_path / "mine")])
+    said = capsys.readouterr().out.splitlines()
+    assert said[:2] == [
+        f"left out: {photos / name} is the same file as {photos / 'a.jpg'}" for name in ("b.jpg", "x/a.jpg")
+    ]
+    assert said[2].startswith("1 for training and 1 for testing")
+
+
 def test_what_was_made_of_photographs_hides_none(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     made = ("reconstruct.json", "a.glb", "a_photograph.png", "a_texture.png", "sub/b_reconstruction.png")
-    photos = write_folder(tmp_path / "photos", {name: noise(1) for name in (*made, "x/a.jpg", "x/b.jpg", "c.jpg")})
+    names = (*made, "x/a.jpg", "x/b.jpg", "c.jpg")
+    photos = write_folder(tmp_path / "photos", {name: noise(number) for number, name in enumerate(names)})
     main(["arrange", str(photos), "--category", "ship", "--out", str(tmp_path / "mine")])
     assert capsys.readouterr().out.splitlines() == [
-        "passed over: 1 files that end in '.glb'",
-        "passed over: 1 files that end in '.json'",
-        "passed over: 3 files that end in '.png' and that `kato3d reconstruct` has written",
+        "passed over: 1 with the ending '.glb'",
+        "passed over: 1 with the ending '.json'",
+        "passed over: 3 with the ending '.png' that `kato3d reconstruct` has written",
         f"2 for training and 1 for testing written to {tmp_path / 'mine'}, 0 left out",
+        "fewer than 200 for training were not tried; 2,000 are good (docs/your-own-photos.md)",
     ]
 
 
@@ -103,7 +118,9 @@ def test_a_signal_that_is_ignored_stops_nothing(
 
 def test_hidden_files_are_no_photographs(tmp_path: Path) -> None:
     names = ("a.jpg", "b.jpg", ".thumbnails/a.jpg", "._a.jpg", "__MACOSX/b.jpg")
-    photos = write_folder(tmp_path / "photos", {name: noise(1) for name in names} | {".DS_Store": b""})
+    photos = write_folder(
+        tmp_path / "photos", {name: noise(number) for number, name in enumerate(names)} | {".DS_Store": b""}
+    )
     assert arrange(photos, "ship", tmp_path / "mine", 32) == (1, 1, [], {})
 
 
@@ -225,8 +242,9 @@ def test_what_cannot_be_used_is_named_and_left_out(tmp_path: Path, capsys: pytes
         f"left out: {photos / 'far.tif'} has grey values of 32 bits; expected 8 or 16 bits",
         f"left out: {photos / 'small.png'} is 31x32 px; expected at least 32 px along the short side",
         f"left out: {photos / 'wide.png'} would be written 70000x32 px; expected at most 65500 px",
-        "passed over: 2 files that end in '.cr2'",
+        "passed over: 2 with the ending '.cr2'",
         f"2 for training and 1 for testing written to {out}, 6 left out",
+        "fewer than 200 for training were not tried; 2,000 are good (docs/your-own-photos.md)",
     ]
 
 
@@ -240,12 +258,12 @@ def test_a_name_that_is_no_text_is_printed(tmp_path: Path, capsys: pytest.Captur
 @pytest.mark.parametrize(
     ("files", "category", "out", "message"),
     [
-        ({"a.jpg": noise(0)}, "ship", "mine", "has 1 photographs that can be used; expected at least 2"),
+        ({"a.jpg": noise(0)}, "ship", "mine", "1 of the photographs can be used; expected at least 2"),
         (
             {"a.jpg": noise(0)[:300], "b.jpg": noise(0)},
             "ship",
             "mine",
-            r"has 1 photographs that can be used \(.*a\.jpg cannot be read as a picture",
+            r"1 of the photographs can be used \(.*a\.jpg cannot be read as a picture",
         ),
         ({"a.txt": b""}, "ship", "mine", "holds no photographs"),
         ({"a.jpg": noise(0)}, "my ship", "mine", "the category is 'my ship'; expected a name of letters"),

@@ -71,7 +71,7 @@ def project(
 ) -> Path:
     """Write settings, photographs, and the truth, of `toybox` whole and of `cars` without shapes."""
     folder = tmp_path_factory.mktemp("project")
-    YAML(typ="safe").dump({"evaluate": asdict(CONFIG)}, folder / "params.yaml")
+    YAML(typ="safe").dump({"evaluate": asdict(CONFIG), "datasets": {"boats": {}}}, folder / "params.yaml")
     splits = {"train": training, "test": truth}
     boxes = {
         split: {"car": viewpoints_of_boxes([tuple(row) for row in angles(known).tolist()])}
@@ -370,6 +370,7 @@ def test_where_shapes_are_not_known_poses_are_measured_alone(project: Path, ours
         (["--out", "file/ours.json"], r"^error: file/ours\.json cannot be written; look at \S*/file, or name"),
         (["--dataset", ""], r"^error: the dataset is ''; expected an entry of `datasets` in params\.yaml$"),
         (["--dataset", "boats"], r"boats does not exist; make it with `dvc repro prepare_data@boats`$"),
+        (["--dataset", "boat"], r"params\.yaml: datasets has no 'boat'; did you mean 'boats'\?$"),
         (["--category", "cat"], r"toybox has no category 'cat'; did you mean 'car'\?$"),
     ],
 )

@@ -130,6 +130,13 @@ def test_a_transparent_colour_is_refused() -> None:
         decode(stream.getvalue(), "1.png", 32, "crop")
 
 
+def test_a_gif_is_not_sent_to_a_command_that_passes_it_over() -> None:
+    stream = io.BytesIO()
+    Image.new("P", (32, 32)).save(stream, "GIF")
+    with pytest.raises(DataError, match=r"^1\.gif has the colour mode P; expected RGB; convert it or remove it$"):
+        decode(stream.getvalue(), "1.gif", 32, "crop")
+
+
 @pytest.mark.parametrize("mode", ["L", "RGBA", "P", "1"])
 def test_another_colour_mode_is_refused(mode: str) -> None:
     with pytest.raises(

@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
 from torch import Tensor
+from tqdm import tqdm
 
 from pipeline.networks.feature_extractor import extract
 from pipeline.networks.full_model import Reconstruction
@@ -101,6 +103,23 @@ def test_starts_are_compared_by_the_weighted_maps(monkeypatch: pytest.MonkeyPatc
         checkpoint = Checkpoint(tmp_path / str(factor), "key")
         fine_tune(config, photographs(2)[0], tiny_model().eval(), tiny_extractor(), checkpoint)
     torch.testing.assert_close(met[1], 2 * met[0])
+
+
+def test_progress_counts_steps_also_those_that_were_done_before(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bars: list[tqdm] = []
+
+    def bar(total: int, **_: Any) -> tqdm:
+        bars.append(tqdm(total=total))
+        return bars[-1]
+
+    monkeypatch.setattr(fine_tuning, "tqdm", bar)
+    config = replace(FINE_TUNING, batch_size=1)
+    steps = 2 * (config.background.steps + config.pose.steps + config.shape.steps + 3)
+    for _ in range(2):
+        fine_tune(config, photographs(2)[0], tiny_model().eval(), tiny_extractor(), Checkpoint(tmp_path, "key"))
+        assert bars[-1].total == bars[-1].n == steps
 
 
 def test_it_starts_from_a_flipped_view_that_fits_better() -> None:
