@@ -1,6 +1,7 @@
 """The command line: `kato3d arrange`, `reconstruct`, `view`, `runs`, `benchmark` and `doctor`."""
 
 import os
+import re
 import signal
 import sys
 import webbrowser
@@ -14,6 +15,7 @@ from types import FrameType
 from typing import Any
 
 from pipeline.errors import STOPPED, in_one_sentence
+from pipeline.naming import did_you_mean
 
 _DESCRIPTION = (
     "Prepare photographs, turn them into textured meshes and look at runs; `make run` trains the models (README.md)."
@@ -27,7 +29,10 @@ def main(words: Sequence[str] | None = None) -> None:
     if isinstance(sys.stdout, TextIOWrapper):  # which it is not after `>&-`
         sys.stdout.reconfigure(errors="backslashreplace")  # any file's name can be printed
     with in_one_sentence(), _ended_by_signals():
-        arguments = _parser().parse_args(words)
+        arguments, unknown = _parser().parse_known_args(words)
+        if unknown:
+            options = re.findall(r"--[\w-]+", arguments.parser.format_usage())
+            arguments.parser.error(f"'{unknown[0]}' is not understood{did_you_mean(unknown[0], options)}")
         arguments.command(arguments)
 
 
@@ -72,7 +77,9 @@ def _parser() -> ArgumentParser:
 
 def _add_command(commands: Any, name: str, what: str, *parents: ArgumentParser) -> ArgumentParser:
     """Add a command that says what it does in the list of commands and in its own help."""
-    return commands.add_parser(name, parents=parents, help=what, description=f"{what[0].upper()}{what[1:]}.")
+    parser = commands.add_parser(name, parents=parents, help=what, description=f"{what[0].upper()}{what[1:]}.")
+    parser.set_defaults(parser=parser)
+    return parser
 
 
 def _add_reconstruct(add: Callable[..., ArgumentParser], project: ArgumentParser) -> None:

@@ -1,5 +1,6 @@
 """What the command line says when something is wrong, and when nobody listens."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -39,6 +40,24 @@ def test_what_is_wrong_is_one_sentence(
     with pytest.raises(SystemExit, match=r"^error: .*" + message):
         main([*words, "--project", str(project)])
     assert not (project / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["reconstruct", "x.jpg", "--out", "y", "--finetune"], r"'--finetune' is not .*; did you mean '--fine-tune'\?"),
+        (["view", "toybox-car"], r"'toybox-car' is not understood; expected one of: --project, --run"),
+    ],
+)
+def test_a_misspelt_option_is_named_with_the_nearest(
+    words: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(words)
+    assert caught.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"usage: kato3d {words[0]} ")
+    assert re.search(message, said)
 
 
 def test_closed_streams_stop_nothing(tmp_path: Path) -> None:
