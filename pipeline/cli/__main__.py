@@ -149,7 +149,7 @@ def _reconstruct(arguments: Namespace) -> None:
     run, out = find_run(arguments.project, arguments.run), arguments.out
     tasks = list_tasks(arguments.photographs, out)
     for folder in filter(Path.is_dir, arguments.photographs):
-        _print_passed_over(passed_over(folder, (task.photograph for task in tasks)))
+        _print_passed_over(passed_over(folder, [*(task.photograph for task in tasks), *out.rglob("*")]))
     print(f"with the model of '{run.name}'")
 
     from pipeline.cli.reconstruct import Steps, reconstruct

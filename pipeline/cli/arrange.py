@@ -63,7 +63,9 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
             split = "train" if len(originals) % TEST_EVERY else "test"
             try:
                 picture = _upright(path, least_side)
-                if (other := same.setdefault(sha256(path), path)) != path:
+                with reading(str(path)):
+                    other = same.setdefault(sha256(path), path)
+                if other != path:
                     raise DataError(f"{path} is the same file as {other}")
             except DataError as error:
                 left_out.append(str(error))

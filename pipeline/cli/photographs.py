@@ -115,9 +115,9 @@ def visible_files(folder: Path) -> Iterator[Path]:
     return (file for file in files if not is_hidden(file.relative_to(folder)))
 
 
-def passed_over(folder: Path, photographs: Iterable[Path]) -> Counter[str]:
-    """Count by ending the files below a folder that are not hidden and none of these photographs."""
-    return Counter(path.suffix.lower() for path in set(visible_files(folder)).difference(photographs))
+def passed_over(folder: Path, used: Iterable[Path]) -> Counter[str]:
+    """Count by ending the files below a folder that are not hidden and none of those used."""
+    return Counter(path.suffix.lower() for path in set(visible_files(folder)).difference(used))
 
 
 def list_tasks(paths: Sequence[Path], out: Path) -> list[Task]:

@@ -13,6 +13,7 @@ import torch
 import trimesh
 
 from pipeline.cli import reconstruct as reconstruction
+from pipeline.cli.__main__ import main
 from pipeline.cli.outputs import Found
 from pipeline.cli.photographs import RECORD, list_tasks
 from pipeline.cli.reconstruct import Settings, Steps, _way
@@ -233,6 +234,18 @@ def test_a_page_of_outputs_that_are_gone_is_removed(
     reconstruct(project, str(tmp_path / "van.png"), "--outputs", "mesh")
     assert capsys.readouterr().out.endswith("no page: it needs `mesh`, `picture` and `pose` among --outputs\n")
     assert not (project / "out/index.html").exists()
+
+
+def test_outputs_below_the_photographs_are_not_said_to_be_passed_over(
+    project: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = tmp_path / "photographs"
+    folder.mkdir()
+    shutil.copy(tmp_path / "car.png", folder)
+    words = ["reconstruct", str(folder), "--project", str(project), "--out", str(folder / "meshes")]
+    for _ in range(2):
+        main([*words, "--outputs", "mesh,picture,pose"])
+        assert "passed over" not in capsys.readouterr().out
 
 
 def test_what_is_neither_a_file_nor_a_folder_is_named(tmp_path: Path) -> None:

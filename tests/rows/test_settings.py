@@ -8,9 +8,11 @@ from pathlib import Path
 import pytest
 import yaml
 
+from pipeline.config import load
 from pipeline.errors import ConfigError
 from pipeline.rows.entries import require_whole_entries
 from pipeline.rows.options import Options
+from pipeline.training.base_shape import BaseShapeConfig
 from stages import check_settings, run_row
 from stages.settings import require_settings, require_settings_of_all
 
@@ -62,6 +64,8 @@ def test_the_row_that_is_shown_to_newcomers_is_one(params: Path) -> None:
     params.write_text(params.read_text(encoding="utf-8").replace("\nrows:\n", f"\nrows:\n{text}"), encoding="utf-8")
     require_whole_entries(params)
     require_settings(params, Options(name))
+    config = load(params, BaseShapeConfig, Options(name).sections("learn_base_shape"))
+    assert max(config.initial_dimensions) == 1  # as it says there
 
 
 def _turn_on(params: Path, section: str, **entry: str) -> None:
