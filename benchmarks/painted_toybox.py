@@ -1,8 +1,8 @@
-"""Reconstruct toybox cars from photographs four times as large as the model's, with and without painting.
+"""Reconstruct toybox objects from photographs four times as large as the model's, with and without painting.
 
-Run `python -m benchmarks.painted_toybox FOLDER` after `make repro`. The folder gets photographs of the first test cars,
-which the model has not learned from, and what `kato3d reconstruct --fine-tune` makes of them; `--figure OUT.png` draws
-them too.
+Run `python -m benchmarks.painted_toybox FOLDER` after `make repro`, or with `--pretrained car` (or `horse`) before it.
+The folder gets photographs of the first test objects, which the model has not learned from, and what `kato3d
+reconstruct --fine-tune` makes of them, of a pretrained model the painted ones alone; `--figure OUT.png` draws them too.
 """
 
 from argparse import ArgumentParser
@@ -18,25 +18,26 @@ from torch import Tensor
 
 from pipeline.cli.photographs import list_tasks
 from pipeline.cli.reconstruct import Steps, reconstruct
-from pipeline.cli.runs import find_run
+from pipeline.cli.runs import find_pretrained, find_run
 from pipeline.config import load, scalar
 from pipeline.datasets.toybox.toybox import ToyboxConfig, make_toybox
 from pipeline.device import resolve_device
 from pipeline.export.picture import sheet, write_png
 
 RUN, CATEGORY = "toybox-car", "car"
+PRETRAINED = ("car", "horse")
 SIZE, COUNT = 128, 10
 OUTPUTS = ("mesh", "picture", "turntable")
 SIDES = {"from one corner": 45, "from the opposite corner": 225}
 
 
-def write_photographs(folder: Path, params: Path) -> None:
-    """Photograph the first test cars in the places and the light of the toybox."""
+def write_photographs(folder: Path, params: Path, category: str) -> None:
+    """Photograph the first test objects of a category in the places and the light of the toybox."""
     usual = load(params, ToyboxConfig, ["prepare_data.toybox"])
     large = replace(usual.photograph, size=SIZE, supersampling=2)
     toybox = make_toybox(replace(usual, train_count=1, test_count=COUNT, photograph=large))
     folder.mkdir(parents=True, exist_ok=True)
-    for index, pixels in enumerate(toybox.images["test"][CATEGORY]):
+    for index, pixels in enumerate(toybox.images["test"][category]):
         Image.fromarray(pixels).save(folder / f"{index:02d}.png")
 
 
@@ -73,16 +74,18 @@ def main() -> None:
     """Write photographs, reconstructions and the figure."""
     parser = ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, metavar="FOLDER")
+    parser.add_argument("--pretrained", choices=PRETRAINED, help="the model that comes with the code, and its category")
     parser.add_argument("--figure", type=Path, help="a picture of all of them")
     arguments = parser.parse_args()
-    run = find_run(Path(), RUN)
-    device = resolve_device(scalar(run.params, "device"))
+    pretrained = arguments.pretrained
+    trained = find_pretrained(Path(), pretrained) if pretrained else find_run(Path(), RUN)
+    device = resolve_device(scalar(trained.params, "device"))
     photographs = arguments.folder / "photographs"
-    write_photographs(photographs, run.params)
-    folders = {way: arguments.folder / way for way in ("predicted", "painted")}
+    write_photographs(photographs, trained.params, pretrained or CATEGORY)
+    folders = {way: arguments.folder / way for way in (["painted"] if pretrained else ["predicted", "painted"])}
     for way, out in folders.items():
         steps = Steps(fine_tune=True, paint=way == "painted")
-        reconstruct(list_tasks([photographs], out), run, out, OUTPUTS, steps, device)
+        reconstruct(list_tasks([photographs], out), trained, out, OUTPUTS, steps, device)
     if arguments.figure:
         write_png(arguments.figure, draw(sorted(photographs.glob("*.png")), folders))
 

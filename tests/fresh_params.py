@@ -30,6 +30,7 @@ ON = {
     "runs": {"toybox-car": {**RUN, "base_shape": "toybox-car"}},
     "hologan": {},
     "colmap": {},
+    "pretrained": {},
 }
 
 

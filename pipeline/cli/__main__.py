@@ -92,7 +92,11 @@ def _add_reconstruct(add: Callable[..., ArgumentParser], project: ArgumentParser
         help="a photograph, or a folder: in colour (RGB), at least as large as the model's pictures; -NAME is written "
         "./-NAME",
     )
-    reconstruct.add_argument("--run", help="whose model; default: the first run in params.yaml")
+    model = reconstruct.add_mutually_exclusive_group()
+    model.add_argument("--run", help="whose model; default: the first run in params.yaml")
+    model.add_argument(
+        "--pretrained", metavar="NAME", help="a model that comes with the code instead: `pretrained` in params.yaml"
+    )
     reconstruct.add_argument("--out", type=Path, required=True, help="folder to write to")
     reconstruct.add_argument(
         "--outputs",
@@ -144,21 +148,23 @@ def _add_benchmark(add: Callable[..., ArgumentParser], project: ArgumentParser) 
 
 def _reconstruct(arguments: Namespace) -> None:
     from pipeline.cli.photographs import list_tasks, passed_over
-    from pipeline.cli.runs import find_run
+    from pipeline.cli.runs import find_pretrained, find_run
 
-    run, out = find_run(arguments.project, arguments.run), arguments.out
+    project, out = arguments.project, arguments.out
+    pretrained = arguments.pretrained is not None
+    trained = find_pretrained(project, arguments.pretrained) if pretrained else find_run(project, arguments.run)
     tasks = list_tasks(arguments.photographs, out)
     for folder in filter(Path.is_dir, arguments.photographs):
         _print_passed_over(passed_over(folder, [*(task.photograph for task in tasks), *out.rglob("*")]))
-    print(f"with the model of '{run.name}'")
+    print(f"with the {'pretrained model' if pretrained else 'model of'} '{trained.name}'")
 
     from pipeline.cli.reconstruct import Steps, reconstruct
     from pipeline.config import scalar
     from pipeline.device import resolve_device
 
-    device = resolve_device(scalar(run.params, "device"))
+    device = resolve_device(scalar(trained.params, "device"))
     steps = Steps(arguments.fine_tune, arguments.paint)
-    outcome = reconstruct(tasks, run, out, arguments.outputs, steps, device)
+    outcome = reconstruct(tasks, trained, out, arguments.outputs, steps, device)
     print(f"{outcome.written} written to {out}, {outcome.skipped} already there, {len(outcome.failures)} failed")
     if outcome.page:
         print(f"open {outcome.page.resolve()}")

@@ -1,13 +1,13 @@
 """What is installed, which device, which data and which results are there, and how to get what is missing."""
 
 import platform
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, requires, version
 from pathlib import Path
 from typing import NamedTuple
 
-from pipeline.cli.runs import find_run
+from pipeline.cli.runs import Pretrained, Run, find_pretrained, find_run
 from pipeline.config import entries, scalar
 from pipeline.errors import UserError
 
@@ -24,12 +24,13 @@ class Finding(NamedTuple):
 
 
 def findings(project: Path) -> Iterator[Finding]:
-    """Look at packages, the device, the data and the runs of a project."""
+    """Look at packages, the device, the data, the models that come with a project, and its runs."""
     yield Finding(True, f"Python {platform.python_version()}", "")
     yield from packages()
     yield meshlab()
     yield device(project)
     yield from data(project)
+    yield from pretrained(project)
     yield from runs(project)
 
 
@@ -94,12 +95,21 @@ def data(project: Path) -> Iterator[Finding]:
         yield Finding(source.exists(), f"photographs of '{name}' in {source}", advice)
 
 
+def pretrained(project: Path) -> Iterator[Finding]:
+    """Look for every model that comes with the project, and for its features."""
+    for name in entries(project / "params.yaml", "pretrained"):
+        yield from _files(find_pretrained(project, name), ("model", "features"), f"of the pretrained '{name}'")
+
+
 def runs(project: Path) -> Iterator[Finding]:
     """Look for the trained model, its features and the page of every run."""
     for name in entries(project / "params.yaml", "runs"):
-        run = find_run(project, name)
-        for what in ("model", "features", "page"):
-            try:
-                yield Finding(True, f"{what} of '{name}': {getattr(run, what)}", "")
-            except UserError as error:
-                yield Finding(False, f"{what} of '{name}'", str(error))
+        yield from _files(find_run(project, name), ("model", "features", "page"), f"of '{name}'")
+
+
+def _files(holder: Run | Pretrained, files: Sequence[str], whose: str) -> Iterator[Finding]:
+    for file in files:
+        try:
+            yield Finding(True, f"{file} {whose}: {getattr(holder, file)}", "")
+        except UserError as error:
+            yield Finding(False, f"{file} {whose}", str(error))

@@ -1,4 +1,4 @@
-"""Photographs to textured meshes, with the model of a run."""
+"""Photographs to textured meshes, with the model of a run or one that comes with the project."""
 
 import hashlib
 import tempfile
@@ -17,7 +17,7 @@ from pipeline.cli.finishing import Picture, Reading, Writing, writing
 from pipeline.cli.gallery import write_gallery
 from pipeline.cli.outputs import Found
 from pipeline.cli.photographs import RECORD, Target, Task, find_targets
-from pipeline.cli.runs import Run
+from pipeline.cli.runs import Pretrained, Run
 from pipeline.cli.workers import workers
 from pipeline.config import load, scalar
 from pipeline.datasets.archives import is_hidden
@@ -41,6 +41,10 @@ PAGED = ("mesh", "picture", "pose")
 """Outputs that a photograph needs to be on the page."""
 
 
+Trained = Run | Pretrained
+"""Whose model reads the photographs."""
+
+
 class Steps(NamedTuple):
     """What is done to a photograph beyond reading shape, pose, texture and background off it."""
 
@@ -51,7 +55,7 @@ class Steps(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """Parameters of a run that say what comes out."""
+    """Parameters that say what comes out."""
 
     fine_tune: FineTuneConfig
     paint: PaintingConfig
@@ -72,7 +76,7 @@ class Outcome(NamedTuple):
 
 
 def reconstruct(
-    tasks: Sequence[Task], run: Run, out: Path, outputs: Sequence[str], steps: Steps, device: torch.device
+    tasks: Sequence[Task], trained: Trained, out: Path, outputs: Sequence[str], steps: Steps, device: torch.device
 ) -> Outcome:
     """Write the outputs of each photograph, in batches, going on where an earlier call for the same folder stopped.
 
@@ -81,9 +85,10 @@ def reconstruct(
     """
     if "video" in outputs:
         encoder()  # not missed only after the first photograph
-    model, settings = load_full_model(run.model, device), _load_settings(run)
-    extractor = load_feature_extractor(run.features, device, resolve_precision(scalar(run.params, "precision"), device))
-    way = _way(run, settings, steps)
+    model, settings = load_full_model(trained.model, device), _load_settings(trained)
+    precision = resolve_precision(scalar(trained.params, "precision"), device)
+    extractor = load_feature_extractor(trained.features, device, precision)
+    way = _way(trained, settings, steps)
     read = Reading(model.config.renderer.size, settings.fit)
     write = writing(model, read, outputs, settings.turntable, settings.paint if steps.paint else None)
 
@@ -128,21 +133,22 @@ def _in_batches(
                 yield from divide(write, list(zip(pictures, find(images.contiguous()), strict=True)))
 
 
-def _load_settings(run: Run) -> Settings:
+def _load_settings(trained: Trained) -> Settings:
+    params, of_size = trained.params, f"sizes.{trained.size}.fine_tune"
     return Settings(
-        replace(load(run.params, FineTuneConfig, ["fine_tune", f"sizes.{run.size}.fine_tune"]), photographs=None),
-        load(run.params, PaintingConfig, ["paint"]),
-        load_prepare(run.params, run.dataset).fit,
-        load(run.params, TurntableConfig, ["turntable"]),
+        replace(load(params, FineTuneConfig, ["fine_tune", of_size]), photographs=None),
+        load(params, PaintingConfig, ["paint"]),
+        trained.config.fit if isinstance(trained, Pretrained) else load_prepare(params, trained.dataset).fit,
+        load(params, TurntableConfig, ["turntable"]),
     )
 
 
-def _way(run: Run, settings: Settings, steps: Steps) -> dict[str, str | bool]:
+def _way(trained: Trained, settings: Settings, steps: Steps) -> dict[str, str | bool]:
     """Say how reconstructions are made, so that a folder holds those of one way alone."""
     tuning = replace(settings.fine_tune, batch_size=1)  # which changes what comes out by rounding alone
     chosen = [*([tuning] if steps.fine_tune else []), *([settings.paint] if steps.paint else [])]
-    text = repr([settings.fit, settings.turntable, sha256(run.features), *chosen])
-    return {"model": sha256(run.model), **steps._asdict(), "settings": hashlib.sha256(text.encode()).hexdigest()}
+    text = repr([settings.fit, settings.turntable, sha256(trained.features), *chosen])
+    return {"model": sha256(trained.model), **steps._asdict(), "settings": hashlib.sha256(text.encode()).hexdigest()}
 
 
 def _waiting(tasks: Sequence[Task], outputs: Sequence[str]) -> tuple[list[Task], list[str]]:
