@@ -89,8 +89,7 @@ def _add_reconstruct(add: Callable[..., ArgumentParser], project: ArgumentParser
         type=Path,
         nargs="+",
         metavar="PHOTO",
-        help="a photograph, or a folder: in colour (RGB), at least as large as the model's pictures; -NAME is written "
-        "./-NAME",
+        help="a photograph, or a folder: at least as large as the model's pictures; -NAME is written ./-NAME",
     )
     model = reconstruct.add_mutually_exclusive_group()
     model.add_argument("--run", help="whose model; default: the first run in params.yaml")

@@ -6,13 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
-import numpy as np
-from PIL import Image, ImageOps
-from PIL.TiffImagePlugin import PHOTOMETRIC_INTERPRETATION, TiffImageFile
+from PIL import Image
 from tqdm import tqdm
 
+from pipeline.cli.conversion import open_rgb
 from pipeline.cli.photographs import find_photographs, passed_over
-from pipeline.datasets.decoding import open_picture, reading, to_srgb
+from pipeline.datasets.decoding import reading
 from pipeline.errors import DataError
 from pipeline.files import alone, atomic_path, sha256
 from pipeline.naming import is_plain
@@ -62,7 +61,7 @@ def arrange(folder: Path, category: str, out: Path, least_side: int) -> Arranged
         for path in tqdm(found, "arranging", disable=None):
             split = "train" if len(originals) % TEST_EVERY else "test"
             try:
-                picture = _upright(path, least_side)
+                picture = _open(path, least_side)
                 with reading(str(path)):
                     other = same.setdefault(sha256(path), path)
                 if other != path:
@@ -94,38 +93,17 @@ def _write_originals(path: Path, originals: Mapping[str, str]) -> None:
         csv.writer(stream, lineterminator="\n").writerows([("picture", "original"), *originals.items()])
 
 
-def _upright(path: Path, least_side: int) -> Image.Image:
+def _open(path: Path, least_side: int) -> Image.Image:
     with reading(str(path)):
-        stored = open_picture(path.read_bytes())
-        picture = ImageOps.exif_transpose(stored)
-        picture.load()
+        content = path.read_bytes()
+    picture = open_rgb(content, str(path))
     if min(picture.size) < least_side:
         size = f"{picture.width}x{picture.height}"
         raise DataError(f"{path} is {size} px; expected at least {least_side} px along the short side")
-    profile = picture.info.get("icc_profile")
-    picture = _eight_bits(
-        picture, path, isinstance(stored, TiffImageFile) and stored.tag_v2.get(PHOTOMETRIC_INTERPRETATION) == 0
-    )
-    if picture.has_transparency_data:
-        picture = picture.convert("RGBA")
-        picture = Image.alpha_composite(Image.new("RGBA", picture.size, "white"), picture)
-    picture = _smaller(to_srgb(picture, str(path), profile), least_side)
+    picture = _smaller(picture, least_side)
     if max(picture.size) > LIMIT:
         raise DataError(f"{path} would be written {picture.width}x{picture.height} px; expected at most {LIMIT} px")
     return picture
-
-
-def _eight_bits(picture: Image.Image, path: Path, white_is_zero: bool) -> Image.Image:
-    """Bring grey values of 16 bits to 8, which PIL would cut off at 255, and a transparent one to white."""
-    if picture.mode == "F":
-        raise DataError(f"{path} has grey values that are fractions; expected 8 or 16 bits")  # their range is not known
-    if not picture.mode.startswith("I"):
-        return picture
-    grey = np.asarray(picture).astype(np.int64)
-    if grey.min() < 0 or grey.max() > 65535:
-        raise DataError(f"{path} has grey values of 32 bits; expected 8 or 16 bits")
-    grey = np.where(grey == picture.info.get("transparency"), 65535, 65535 - grey if white_is_zero else grey)
-    return Image.fromarray((grey / 257).round().astype(np.uint8))
 
 
 def _smaller(picture: Image.Image, least_side: int) -> Image.Image:

@@ -13,6 +13,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 from torch.nn import functional
 
+from pipeline.cli.conversion import to_rgb
 from pipeline.cli.outputs import Found, write_outputs
 from pipeline.cli.photographs import Task
 from pipeline.datasets.decoding import Fit, decode, decode_up_to, reading
@@ -49,7 +50,7 @@ class Reading(NamedTuple):
         name = str(task.photograph)
         try:
             content = _content(task.photograph)
-            pixels = decode(content, name, self.size, self.fit)
+            pixels = decode(to_rgb(content, name), name, self.size, self.fit)
         except DataError as error:
             return str(error)
         return Picture(task, hashlib.sha256(content).hexdigest(), pixels)
@@ -63,7 +64,7 @@ class Reading(NamedTuple):
         content = _content(path)
         if hashlib.sha256(content).hexdigest() != picture.content_hash:
             raise DataError(f"{path} was replaced while it was reconstructed; run the same command again")
-        pixels = decode_up_to(content, str(path), most, self.size, self.fit)
+        pixels = decode_up_to(to_rgb(content, str(path)), str(path), most, self.size, self.fit)
         return torch.from_numpy(pixels.copy()).permute(2, 0, 1) / 255
 
 

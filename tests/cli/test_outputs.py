@@ -139,6 +139,27 @@ def test_oblong_photographs_become_square_as_those_of_the_run_did(
     assert pose["azimuth_degrees"] == pytest.approx(math.degrees(seen.pose.azimuth[0]) % 360, abs=1e-3)
 
 
+@pytest.mark.parametrize("name", ["grey.jpg", "inks.jpg", "palette.gif", "half_transparent.png"])
+def test_photographs_that_are_not_rgb_are_reconstructed_as_what_they_show(
+    name: str, project: Path, tmp_path: Path
+) -> None:
+    modes = {"grey.jpg": "L", "inks.jpg": "CMYK", "palette.gif": "P", "half_transparent.png": "RGBA"}
+    with Image.open(tmp_path / "car.png") as car:
+        photograph = car.convert(modes[name])
+    if name == "half_transparent.png":
+        photograph.paste((0, 0, 0, 0), (0, 0, 32, 16))
+    photograph.save(tmp_path / name)
+    with Image.open(tmp_path / name) as saved:
+        shown = saved.convert("RGB")
+    if name == "half_transparent.png":
+        shown.paste("white", (0, 0, 32, 16))
+    shown.save(tmp_path / "shown.png")
+    reconstruct(project, str(tmp_path / name), str(tmp_path / "shown.png"))
+    for output in ("photograph", "reconstruction", "texture"):
+        first, second = (pixels(project / f"out/{stem}_{output}.png") for stem in (Path(name).stem, "shown"))
+        assert torch.equal(first, second)
+
+
 def test_fine_tuning_takes_more_photographs_than_the_stage(project: Path, tmp_path: Path) -> None:
     params = YAML(typ="safe").load(project / "params.yaml")
     params["fine_tune"]["photographs"] = 1
