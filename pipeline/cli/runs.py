@@ -27,7 +27,8 @@ class Run:
     @property
     def model(self) -> Path:
         """The trained full model. Raises DataError where it has not been trained."""
-        return _written(self.project / "models" / "full" / f"{self.name}.safetensors", _REPRO)
+        path = self.project / "models" / "full" / f"{self.name}.safetensors"
+        return _written(path, f"{_REPRO}, or take one that comes with the code, by --pretrained")
 
     @property
     def features(self) -> Path:
