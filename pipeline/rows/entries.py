@@ -28,6 +28,7 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "rows": ("dataset", "category"),
     "sizes": (),
     "ablations": (),
+    "pretrained": ("model", "features", "size", "fit"),
 }
 """Values of the entries of each section."""
 _STAGES: Mapping[str, tuple[str, ...]] = {
