@@ -189,7 +189,7 @@ TABLES: dict[str, Table | Confusion] = {
     ),
     "longer": Table(
         "",
-        r"(toybox-car|toybox-chair|stanford-car|cifar10-automobile|cifar10-horse|mine-ship)-(longer|no-copying-cost)",
+        r"(toybox-car|toybox-chair|stanford-car|cifar10-automobile|cifar10-horse|mine-ship)(-longer|-no-copying-cost)?",
         {
             "feature distance": "reconstruction.predicted.feature_distance",
             "fine-tuned": "reconstruction.tuned.feature_distance",
