@@ -1,8 +1,9 @@
 """Reconstruct toybox objects from photographs four times as large as the model's, with and without painting.
 
 Run `python -m benchmarks.painted_toybox FOLDER` after `make repro`, or with `--pretrained car` (or `horse`) before it.
-The folder gets photographs of the first test objects, which the model has not learned from, and what `kato3d
-reconstruct --fine-tune` makes of them, of a pretrained model the painted ones alone; `--figure OUT.png` draws them too.
+A folder in FOLDER, named after the model, gets photographs of the first test objects, which it has not learned from,
+and what `kato3d reconstruct --fine-tune` makes of them, of a pretrained model the painted ones alone; `--figure
+OUT.png` draws them too.
 """
 
 from argparse import ArgumentParser
@@ -27,7 +28,7 @@ from pipeline.export.picture import sheet, write_png
 RUN, CATEGORY = "toybox-car", "car"
 PRETRAINED = ("car", "horse")
 SIZE, COUNT = 128, 10
-OUTPUTS = ("mesh", "picture", "turntable")
+OUTPUTS = ("mesh", "picture", "turntable", "pose")
 SIDES = {"from one corner": 45, "from the opposite corner": 225}
 
 
@@ -80,9 +81,10 @@ def main() -> None:
     pretrained = arguments.pretrained
     trained = find_pretrained(Path(), pretrained) if pretrained else find_run(Path(), RUN)
     device = resolve_device(scalar(trained.params, "device"))
-    photographs = arguments.folder / "photographs"
+    folder = arguments.folder / trained.name
+    photographs = folder / "photographs"
     write_photographs(photographs, trained.params, pretrained or CATEGORY)
-    folders = {way: arguments.folder / way for way in (["painted"] if pretrained else ["predicted", "painted"])}
+    folders = {way: folder / way for way in (["painted"] if pretrained else ["predicted", "painted"])}
     for way, out in folders.items():
         steps = Steps(fine_tune=True, paint=way == "painted")
         reconstruct(list_tasks([photographs], out), trained, out, OUTPUTS, steps, device)

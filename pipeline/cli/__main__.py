@@ -83,7 +83,7 @@ def _add_command(commands: Any, name: str, what: str, *parents: ArgumentParser) 
 
 
 def _add_reconstruct(add: Callable[..., ArgumentParser], project: ArgumentParser) -> None:
-    reconstruct = add("reconstruct", "turn photographs into textured meshes, with the trained model of a run", project)
+    reconstruct = add("reconstruct", "turn photographs into textured meshes, with a trained model", project)
     reconstruct.add_argument(
         "photographs",
         type=Path,
@@ -94,7 +94,9 @@ def _add_reconstruct(add: Callable[..., ArgumentParser], project: ArgumentParser
     model = reconstruct.add_mutually_exclusive_group()
     model.add_argument("--run", help="whose model; default: the first run in params.yaml")
     model.add_argument(
-        "--pretrained", metavar="NAME", help="a model that comes with the code instead: `pretrained` in params.yaml"
+        "--pretrained",
+        metavar="NAME",
+        help="an entry of `pretrained` in params.yaml instead, such as `car`, which comes with the code",
     )
     reconstruct.add_argument("--out", type=Path, required=True, help="folder to write to")
     reconstruct.add_argument(

@@ -41,10 +41,6 @@ PAGED = ("mesh", "picture", "pose")
 """Outputs that a photograph needs to be on the page."""
 
 
-Trained = Run | Pretrained
-"""Whose model reads the photographs."""
-
-
 class Steps(NamedTuple):
     """What is done to a photograph beyond reading shape, pose, texture and background off it."""
 
@@ -76,7 +72,12 @@ class Outcome(NamedTuple):
 
 
 def reconstruct(
-    tasks: Sequence[Task], trained: Trained, out: Path, outputs: Sequence[str], steps: Steps, device: torch.device
+    tasks: Sequence[Task],
+    trained: Run | Pretrained,
+    out: Path,
+    outputs: Sequence[str],
+    steps: Steps,
+    device: torch.device,
 ) -> Outcome:
     """Write the outputs of each photograph, in batches, going on where an earlier call for the same folder stopped.
 
@@ -133,17 +134,17 @@ def _in_batches(
                 yield from divide(write, list(zip(pictures, find(images.contiguous()), strict=True)))
 
 
-def _load_settings(trained: Trained) -> Settings:
+def _load_settings(trained: Run | Pretrained) -> Settings:
     params, of_size = trained.params, f"sizes.{trained.size}.fine_tune"
     return Settings(
         replace(load(params, FineTuneConfig, ["fine_tune", of_size]), photographs=None),
         load(params, PaintingConfig, ["paint"]),
-        trained.config.fit if isinstance(trained, Pretrained) else load_prepare(params, trained.dataset).fit,
+        trained.fit if isinstance(trained, Pretrained) else load_prepare(params, trained.dataset).fit,
         load(params, TurntableConfig, ["turntable"]),
     )
 
 
-def _way(trained: Trained, settings: Settings, steps: Steps) -> dict[str, str | bool]:
+def _way(trained: Run | Pretrained, settings: Settings, steps: Steps) -> dict[str, str | bool]:
     """Say how reconstructions are made, so that a folder holds those of one way alone."""
     tuning = replace(settings.fine_tune, batch_size=1)  # which changes what comes out by rounding alone
     chosen = [*([tuning] if steps.fine_tune else []), *([settings.paint] if steps.paint else [])]

@@ -8,92 +8,85 @@ from pipeline.datasets.decoding import Fit
 from pipeline.errors import ConfigError, DataError
 from pipeline.naming import did_you_mean, require_known
 
+_REPRO = "make it with `make repro`, which brings all runs up to date"
+
+
+def _existing(path: Path, what_to_do: str) -> Path:
+    if not path.is_file():
+        raise DataError(f"{path} does not exist; {what_to_do}")
+    return path
+
 
 @dataclass(frozen=True)
-class Run:
-    """A run of params.yaml in a project's folder; dvc.yaml writes its artifacts."""
+class Trained:
+    """A trained model that params.yaml in a project's folder names."""
 
     project: Path
     name: str
     size: str
-    dataset: str
-    features_name: str
+    """The entry of `sizes` whose fine-tuning suits it."""
 
     @property
     def params(self) -> Path:
         """The parameter file."""
         return self.project / "params.yaml"
+
+
+@dataclass(frozen=True)
+class Run(Trained):
+    """An entry of `runs`; dvc.yaml writes its artifacts."""
+
+    dataset: str
+    features_name: str
 
     @property
     def model(self) -> Path:
         """The trained full model. Raises DataError where it has not been trained."""
         path = self.project / "models" / "full" / f"{self.name}.safetensors"
-        return _written(path, f"{_REPRO}, or take one that comes with the code, by --pretrained")
+        return _existing(path, f"{_REPRO}, or take one that comes with the code, by --pretrained")
 
     @property
     def features(self) -> Path:
         """The feature extractor. Raises DataError where it has not been trained."""
-        return _written(self.project / "models" / "features" / f"{self.features_name}.safetensors", _REPRO)
+        return _existing(self.project / "models" / "features" / f"{self.features_name}.safetensors", _REPRO)
 
     @property
     def page(self) -> Path:
         """The report's page. Raises DataError where it has not been written."""
-        return _written(self.project / "results" / "report" / self.name / "index.html", _REPRO)
+        return _existing(self.project / "results" / "report" / self.name / "index.html", _REPRO)
 
 
 @dataclass(frozen=True)
 class _PretrainedConfig:
-    """An entry of `pretrained`."""
-
     model: str
-    """Path of the full model."""
     features: str
-    """Path of the feature extractor."""
     size: str
-    """The entry of `sizes` whose fine-tuning suits it."""
     fit: Fit
-    """How a photograph that is not square becomes so."""
 
 
 @dataclass(frozen=True)
-class Pretrained:
-    """A trained model that comes with a project: an entry of `pretrained` in its params.yaml."""
+class Pretrained(Trained):
+    """An entry of `pretrained`: files that come with the code, or are kept by a user."""
 
-    project: Path
-    name: str
-    config: _PretrainedConfig
-
-    @property
-    def params(self) -> Path:
-        """The parameter file."""
-        return self.project / "params.yaml"
-
-    @property
-    def size(self) -> str:
-        """The entry of `sizes` whose fine-tuning suits it."""
-        return self.config.size
+    fit: Fit
+    """How a photograph that is not square becomes so."""
+    model_name: str
+    """Path within the project, as that of the features."""
+    features_name: str
 
     @property
     def model(self) -> Path:
         """The trained full model. Raises DataError where it is not there."""
-        return self._named(self.config.model)
+        return self._named("model", self.model_name)
 
     @property
     def features(self) -> Path:
         """The feature extractor. Raises DataError where it is not there."""
-        return self._named(self.config.features)
+        return self._named("features", self.features_name)
 
-    def _named(self, path: str) -> Path:
-        return _written(self.project / path, f"`pretrained.{self.name}` in {self.params} names it")
-
-
-_REPRO = "make it with `make repro`, which brings all runs up to date"
-
-
-def _written(path: Path, what_to_do: str) -> Path:
-    if not path.is_file():
-        raise DataError(f"{path} does not exist; {what_to_do}")
-    return path
+    def _named(self, key: str, name: str) -> Path:
+        what_to_do = f"restore it with `git restore`, or correct `pretrained.{self.name}.{key}` in {self.params}"
+        return _existing(self.project / name, what_to_do)
 
 
 def find_run(project: Path, name: str | None) -> Run:
@@ -113,13 +106,15 @@ def find_run(project: Path, name: str | None) -> Run:
 
 
 def find_pretrained(project: Path, name: str) -> Pretrained:
-    """Return a trained model that comes with the project.
+    """Return a trained model that is kept as a file.
 
-    Raises ConfigError for a name that is not there, with the nearest one that is.
+    Raises ConfigError for a name, and for a size of it, that is not there, with the nearest one that is.
     """
     params = project / "params.yaml"
     require_known(name, entries(params, "pretrained"), f"{params}: pretrained has no")
-    return Pretrained(project, name, load(params, _PretrainedConfig, [f"pretrained.{name}"]))
+    config = load(params, _PretrainedConfig, [f"pretrained.{name}"])
+    require_known(config.size, entries(params, "sizes"), f"{params}: 'pretrained.{name}.size' names no entry of sizes:")
+    return Pretrained(project, name, config.size, config.fit, config.model, config.features)
 
 
 def truth_folder(project: Path, dataset: str) -> Path:

@@ -11,7 +11,7 @@ from ruamel.yaml import YAML
 
 from pipeline.cli.__main__ import main
 from pipeline.cli.runs import find_pretrained
-from pipeline.config import entries, load
+from pipeline.config import load
 from pipeline.datasets.prepared import Dataset
 from pipeline.datasets.toybox.toybox import ToyboxConfig, make_toybox
 from pipeline.datasets.truth import GroundTruth
@@ -20,9 +20,10 @@ from pipeline.networks.feature_extractor import extract, load_feature_extractor
 from pipeline.networks.full_model import load_full_model
 from pipeline.rendering.renderer import Mesh, render
 from tests.fresh_params import ROOT
-from tests.trained_project import reconstruct
+from tests.trained_project import pixels, reconstruct
 
 CPU = torch.device("cpu")
+FILES = {"model": "models/full/toybox-car.safetensors", "features": "models/features/toybox-laptop.safetensors"}
 
 
 @pytest.fixture(scope="module")
@@ -49,20 +50,23 @@ def test_objects_are_found_in_pictures_unlike_those_learned_from(name: str, leas
 
 def test_a_photograph_becomes_a_mesh_without_any_training(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     Image.new("RGB", (64, 48), "red").save(tmp_path / "wide.png")
-    words = ["--pretrained", "car", "--outputs", "mesh,picture,pose"]
+    words = ["--pretrained", "car", "--fine-tune", "--paint", "--outputs", "mesh,picture,pose"]
     main(["reconstruct", str(tmp_path / "wide.png"), "--project", str(ROOT), "--out", str(tmp_path / "out"), *words])
     out = capsys.readouterr().out
     assert out.startswith("with the pretrained model 'car'\n1 written to ")
     with Image.open(tmp_path / "out/wide_photograph.png") as photograph:
         assert photograph.size == (64, 64)
-    assert (tmp_path / "out/wide.glb").stat().st_size > 0
+    painted = pixels(tmp_path / "out/wide_texture.png").float().mean(dim=(0, 1))
+    assert painted[0] > painted[1:].max() + 64  # red
 
 
-def test_every_pretrained_model_is_there() -> None:
-    for name in entries(ROOT / "params.yaml", "pretrained"):
-        pretrained = find_pretrained(ROOT, name)
-        assert pretrained.model.is_file()
-        assert pretrained.features.is_file()
+def test_doctor_looks_for_pretrained_models(project: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    _set_pretrained(project, {"mine": {**FILES, "features": "gone.safetensors", "size": "laptop", "fit": "crop"}})
+    with pytest.raises(SystemExit):
+        main(["doctor", "--project", str(project)])
+    out = capsys.readouterr().out
+    assert "ok      model of the pretrained 'mine': " in out
+    assert "MISSING features of the pretrained 'mine': " in out
 
 
 def test_names_and_files_that_are_not_there_are_one_sentence(project: Path, tmp_path: Path) -> None:
@@ -70,16 +74,26 @@ def test_names_and_files_that_are_not_there_are_one_sentence(project: Path, tmp_
     _set_pretrained(project, YAML().load(ROOT / "params.yaml")["pretrained"])
     with pytest.raises(SystemExit, match=r"^error: \S*params.yaml: pretrained has no 'cat'; did you mean 'car'\?$"):
         reconstruct(project, photograph, "--pretrained", "cat")
-    lack = r"^error: \S*data/pretrained/car\.safetensors does not exist; `pretrained\.car` in \S*params\.yaml names it$"
+    what_to_do = r"restore it with `git restore`, or correct `pretrained\.car\.model` in \S*params\.yaml"
+    lack = rf"^error: \S*data/pretrained/car\.safetensors does not exist; {what_to_do}$"
     with pytest.raises(SystemExit, match=lack):
         reconstruct(project, photograph, "--pretrained", "car")
 
 
 def test_a_model_of_a_run_can_be_kept_as_a_pretrained_one(project: Path, tmp_path: Path) -> None:
-    files = {"model": "models/full/toybox-car.safetensors", "features": "models/features/toybox-laptop.safetensors"}
-    _set_pretrained(project, {"mine": {**files, "size": "laptop", "fit": "crop"}})
-    assert "car.glb" in reconstruct(project, str(tmp_path / "car.png"))
-    reconstruct(project, str(tmp_path / "car.png"), "--pretrained", "mine")  # made in the same way
+    _set_pretrained(project, {"mine": {**FILES, "size": "laptop", "fit": "crop"}})
+    reconstruct(project, str(tmp_path / "car.png"), "--fine-tune")
+    (project / "out").rename(project / "of_the_run")
+    reconstruct(project, str(tmp_path / "car.png"), "--fine-tune", "--pretrained", "mine")
+    for name in ("car.glb", "car_pose.json", "reconstruct.json"):
+        assert (project / "out" / name).read_bytes() == (project / "of_the_run" / name).read_bytes()
+
+
+def test_a_size_that_is_not_there_is_named(project: Path, tmp_path: Path) -> None:
+    _set_pretrained(project, {"mine": {**FILES, "size": "lapto", "fit": "crop"}})
+    lack = r"'pretrained\.mine\.size' names no entry of sizes: 'lapto'; did you mean 'laptop'\?$"
+    with pytest.raises(SystemExit, match=lack):
+        reconstruct(project, str(tmp_path / "car.png"), "--pretrained", "mine")
 
 
 def test_a_model_is_of_a_run_or_pretrained(capsys: pytest.CaptureFixture[str]) -> None:
