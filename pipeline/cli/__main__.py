@@ -152,12 +152,12 @@ def _reconstruct(arguments: Namespace) -> None:
     from pipeline.cli.runs import find_pretrained, find_run
 
     project, out = arguments.project, arguments.out
-    pretrained = arguments.pretrained is not None
-    trained = find_pretrained(project, arguments.pretrained) if pretrained else find_run(project, arguments.run)
+    pretrained = arguments.pretrained
+    trained = find_run(project, arguments.run) if pretrained is None else find_pretrained(project, pretrained)
     tasks = list_tasks(arguments.photographs, out)
     for folder in filter(Path.is_dir, arguments.photographs):
         _print_passed_over(passed_over(folder, [*(task.photograph for task in tasks), *out.rglob("*")]))
-    print(f"with the {'pretrained model' if pretrained else 'model of'} '{trained.name}'")
+    print(f"with {trained.title}")
 
     from pipeline.cli.reconstruct import Steps, reconstruct
     from pipeline.config import scalar

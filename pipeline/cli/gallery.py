@@ -17,11 +17,11 @@ ANGLES = ("azimuth_degrees", "elevation_degrees")
 """What the page reads of a pose."""
 
 
-def write_gallery(path: Path, targets: Sequence[Target], camera: CameraConfig) -> list[str]:
+def write_gallery(path: Path, targets: Sequence[Target], camera: CameraConfig, made_by: str) -> list[str]:
     """Write the page of the first of the targets, whose meshes, pictures and poses are there, atomically.
 
-    They are called by their paths within the page's folder. Returns a sentence for each that is damaged, which the page
-    leaves out; where none is left, there is no page.
+    They are called by their paths within the page's folder, which says what they were made by. Returns a sentence for
+    each that is damaged, which the page leaves out; where none is left, there is no page.
     """
     exhibits, damaged = [], []
     for target in targets:
@@ -34,7 +34,8 @@ def write_gallery(path: Path, targets: Sequence[Target], camera: CameraConfig) -
     if not exhibits:
         path.unlink(missing_ok=True)  # of an earlier call, whose outputs are gone
         return damaged
-    introduction = f"{len(exhibits)} of {len(targets)} reconstructed photographs whose mesh, picture and pose are here."
+    count = f"{len(exhibits)} of {len(targets)} reconstructed photographs"
+    introduction = f"{count} whose mesh, picture and pose are here, by {made_by}."
     text = page("Reconstructions", introduction, [], [viewer_section(exhibits, camera)])
     write_text(path, text, errors="backslashreplace")  # names of files may hold bytes that are no text
     return damaged

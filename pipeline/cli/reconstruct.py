@@ -49,6 +49,11 @@ class Steps(NamedTuple):
     paint: bool
     """Paint the mesh with the photograph."""
 
+    @property
+    def title(self) -> str:
+        """What pages add to the name of the model."""
+        return (", fine-tuned" if self.fine_tune else "") + (", painted" if self.paint else "")
+
 
 class Settings(NamedTuple):
     """Parameters that say what comes out."""
@@ -109,7 +114,8 @@ def reconstruct(
         failed = [sentence for sentence in progress if sentence is not None]
         latest = {task.target for task in tasks}
         done = sorted(find_targets(out, PAGED), key=lambda target: target not in latest)
-        failures = [*failures, *failed, *write_gallery(out / PAGE, done, model.config.renderer.camera)]
+        damaged = write_gallery(out / PAGE, done, model.config.renderer.camera, f"{trained.title}{steps.title}")
+        failures = [*failures, *failed, *damaged]
         page = out / PAGE if (out / PAGE).is_file() else None
     if is_new and not any(out.iterdir()):
         out.rmdir()

@@ -31,6 +31,11 @@ class Trained:
         """The parameter file."""
         return self.project / "params.yaml"
 
+    @property
+    def title(self) -> str:
+        """What messages and pages call it."""
+        return f"the model of '{self.name}'"
+
 
 @dataclass(frozen=True)
 class Run(Trained):
@@ -73,6 +78,11 @@ class Pretrained(Trained):
     model_name: str
     """Path within the project, as that of the features."""
     features_name: str
+
+    @property
+    def title(self) -> str:
+        """What messages and pages call it."""
+        return f"the pretrained model '{self.name}'"
 
     @property
     def model(self) -> Path:

@@ -309,7 +309,7 @@ def test_reconstructed_photographs_are_turned_on_a_page_of_their_own(open_page: 
             write_png(target.file(f"_{kind}.png"), torch.zeros(3, 32, 32))
         write_glb(target.file(".glb"), mesh, texture)
         write_json(target.file("_pose.json"), {"azimuth_degrees": azimuth, "elevation_degrees": 0.0})
-    write_gallery(tmp_path / "index.html", targets, CAMERA)
+    write_gallery(tmp_path / "index.html", targets, CAMERA, "the model of 'toybox-car'")
     page = open_page((tmp_path / "index.html").as_uri(), **STILL)
     numpy.testing.assert_allclose(color(seen(page), 0.5), BLUE, atol=0.03)
     page.get_by_role("radio", name="photographs/second").check()

@@ -93,6 +93,7 @@ def test_a_page_shows_some_of_many_the_newest_first(
     text = (project / "out/index.html").read_text()
     assert re.findall(r'data-name="(.*?)"', text) == ["van"]
     assert "1 of 2 reconstructed photographs" in text
+    assert "by the model of &#x27;toybox-car&#x27;." in text
 
 
 def test_fine_tuning_changes_the_pose(project: Path, tmp_path: Path) -> None:

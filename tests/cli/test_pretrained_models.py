@@ -83,10 +83,12 @@ def test_names_and_files_that_are_not_there_are_one_sentence(project: Path, tmp_
 def test_a_model_of_a_run_can_be_kept_as_a_pretrained_one(project: Path, tmp_path: Path) -> None:
     _set_pretrained(project, {"mine": {**FILES, "size": "laptop", "fit": "crop"}})
     reconstruct(project, str(tmp_path / "car.png"), "--fine-tune")
+    assert "by the model of &#x27;toybox-car&#x27;, fine-tuned." in (project / "out/index.html").read_text()
     (project / "out").rename(project / "of_the_run")
     reconstruct(project, str(tmp_path / "car.png"), "--fine-tune", "--pretrained", "mine")
     for name in ("car.glb", "car_pose.json", "reconstruct.json"):
         assert (project / "out" / name).read_bytes() == (project / "of_the_run" / name).read_bytes()
+    assert "by the pretrained model &#x27;mine&#x27;, fine-tuned." in (project / "out/index.html").read_text()
 
 
 def test_a_size_that_is_not_there_is_named(project: Path, tmp_path: Path) -> None:
