@@ -13,7 +13,7 @@ _REPRO = "make it with `make repro`, which brings all runs up to date"
 
 def _existing(path: Path, what_to_do: str) -> Path:
     if not path.is_file():
-        raise DataError(f"{path} does not exist; {what_to_do}")
+        raise DataError(f"{path} {'is no file' if path.exists() else 'does not exist'}; {what_to_do}")
     return path
 
 

@@ -78,6 +78,9 @@ def test_names_and_files_that_are_not_there_are_one_sentence(project: Path, tmp_
     lack = rf"^error: \S*data/pretrained/car\.safetensors does not exist; {what_to_do}$"
     with pytest.raises(SystemExit, match=lack):
         reconstruct(project, photograph, "--pretrained", "car")
+    (project / "data/pretrained/car.safetensors").mkdir(parents=True)
+    with pytest.raises(SystemExit, match=rf"car\.safetensors is no file; {what_to_do}$"):
+        reconstruct(project, photograph, "--pretrained", "car")
 
 
 def test_a_model_of_a_run_can_be_kept_as_a_pretrained_one(project: Path, tmp_path: Path) -> None:
